@@ -314,8 +314,8 @@ def _check_rollouts(
             continue
         stepped = SteppedRollouts(simulator, controller, episode)
         genes = 0.5 * controller.first(3, torch.Generator().manual_seed(2)).numpy()
-        drawn = compiled.draw(starts, 3)
-        same = [Draws(starts)] if drawn.seeds is not None else [Draws(starts), drawn]
+        samples = compiled.draw(starts, 3)
+        same = [Draws(starts)] if samples.seeds is not None else [Draws(starts), samples]
         for draws in same:
             wanted, got = stepped.run(genes, draws), compiled.run(genes, draws)
             assert wanted.poses is not None

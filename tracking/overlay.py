@@ -26,7 +26,7 @@ def check_overlay(overlay: str | Path, video: Path) -> None:
     """Refuse an overlay that cannot be written, or would replace the video it is made from.
 
     Raises:
-        UserError: if it is the video itself, or its ending is none of .mp4, .mkv, .avi.
+        UserError: if it is the video itself, or its ending is not .mp4, .mkv or .avi.
     """
     overlay = Path(overlay)
     if overlay.suffix.lower() not in _FOURCC:

@@ -39,7 +39,8 @@ class Number:
         unit: %, m/s, rad/s or rad.
         low: least value.
         high: greatest value.
-        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is none.
+        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is not a
+        speed.
     """
 
     name: str

@@ -154,7 +154,7 @@ def _part_of(name: str) -> str | None:
 
 
 def _path_data(element: Any, tag: str, name: str) -> str:
-    """Return an element as a path's data; nothing if it is none that is drawn with a line."""
+    """Return an element as a path's data; nothing if it is not drawn with a line."""
 
     def at(key: str, usual: str = "0") -> float:
         return _length(element.get(key, usual), f"{key} of {name}")
@@ -364,7 +364,7 @@ def _rectangle(stroke: _Stroke) -> tuple[float, float]:
 
 
 def _radius(stroke: _Stroke) -> float | None:
-    """Return the radius of a circle, m; None: it is none."""
+    """Return the radius of a circle, m; None: it is another shape."""
     away = np.linalg.norm(stroke.points - stroke.middle, axis=1)
     mean = float(away.mean())
     if len(away) < 8 or np.abs(away - mean).max() > ROUND * mean:
@@ -426,7 +426,7 @@ def _length(text: str, what: str) -> float:
     """Return a length in the drawing's units.
 
     Raises:
-        UserError: if it is none, or a fraction of something else.
+        UserError: if it is not a length, or is relative.
     """
     match = _LENGTH.match(text)
     if match is None:

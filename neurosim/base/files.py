@@ -363,7 +363,7 @@ def check_file(path: str | Path, expected: str, *, most: int | None = None) -> N
         most: how large it may be, bytes.
 
     Raises:
-        FileError: if there is no such file, or it is none.
+        FileError: if there is no such file, or it is a folder or a device.
     """
     path = Path(path)
     try:
@@ -398,7 +398,7 @@ def read_text(
         not_text: what to do where it is not text; by default with the expected kind.
 
     Raises:
-        FileError: if there is no such file, or it is none, or not text.
+        FileError: if there is no such file, or it is a folder or a device, or not text.
     """
     check_file(path, expected, most=most)
     try:

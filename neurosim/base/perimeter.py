@@ -32,7 +32,7 @@ LINE, EDGE, UNSEEN = 1, 2, 3
 #: From the moment at which the guard finds that the robot leaves until the robot stands, s.
 STOPPING = 0.25
 #: Error of a distance that was only commanded, as a fraction of it.
-DOUBT = 0.15
+DISTANCE_ERROR = 0.15
 #: Sensors are checked at the beginning of a path and at least this often along it, m.
 SPACING = 0.01
 #: And at least as often as a line is wide, but no more often than this, m.
@@ -194,7 +194,7 @@ def _ends(
         # Farther inside than this nothing ends; the middle moves no faster than along the arc.
         near = reach + inner
         if margin == margin:
-            near = max(near, margin + (1.0 + DOUBT) * length_ahead)
+            near = max(near, margin + (1.0 + DISTANCE_ERROR) * length_ahead)
         count = max(math.ceil((length + reach * abs(turn)) / spacing), 1)
         n, room = 0, 0.0
         while n <= count:
@@ -217,7 +217,7 @@ def _ends(
             if code == 0 and n > 0 and margin == margin:
                 off_x, off_y = se2.arc(dx, dy, turn, fraction + ahead)
                 there = _inside(x + off_x, y + off_y, half)
-                if there - DOUBT * length_ahead < margin and there < here - 1e-4:
+                if there - DISTANCE_ERROR * length_ahead < margin and there < here - 1e-4:
                     code = EDGE
             if code > 0:
                 codes[k] = code

@@ -93,7 +93,7 @@ class Registry:
             ) from None
 
     def make(self, name: str, settings: Mapping[str, Any]) -> Any:
-        """Call what has this name with settings as keywords; what is no class or function is it.
+        """Call the object of this name with settings as keywords; return it if it is not callable.
 
         Raises:
             UserError: if there is none, or it does not take the settings.

@@ -317,7 +317,7 @@ def key_of(each: click.Parameter) -> str:
 
 
 def keys_of(each: click.Parameter) -> list[str]:
-    """Return all keys of a parameter; one of a single letter is none."""
+    """Return all keys of a parameter; single letters do not count."""
     if isinstance(each, click.Argument):
         return [str(each.name).replace("_", "-")]
     flags = [*each.secondary_opts, *each.opts]

@@ -36,7 +36,7 @@ def check_robot(robot: str, robot_options: dict[str, Any], ask: bool, as_json: b
         about = tried.describe()
     wrong = sum(one.verdict == "wrong" for one in findings)
     result = {"robot": about, "wrong": wrong, "findings": [one.describe() for one in findings]}
-    lines = [f"{_MARKS[one.verdict]}  {one.what}: {one.says}." for one in findings]
+    lines = [f"{_MARKS[one.verdict]}  {one.what}: {one.sentence}." for one in findings]
     emit(result, as_json, "\n".join(lines))
     if wrong:
         raise click.exceptions.Exit(1)

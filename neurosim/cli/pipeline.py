@@ -324,7 +324,8 @@ def _in_words(
 
 
 def _differing(rows: list[dict[str, Any]], swept: list[str]) -> list[str]:
-    """Return the results that are not the same in all rows; how long a stage took is none."""
+    """Return the results that are not the same in all rows; the time of a stage is not a
+    setting."""
     names = dict.fromkeys(name for row in rows for name in row)
     return [
         name

@@ -121,7 +121,7 @@ class Controller(Checked):
         """
 
     def arrays(self) -> NetworkArrays | None:
-        """Return the compiled form; None: there are none for this kind."""
+        """Return the compiled form; None: this kind has none."""
         return None
 
     def settings(self) -> dict[str, Any]:

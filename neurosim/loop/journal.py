@@ -315,7 +315,8 @@ def _no_number(answer: Any, number: int) -> UserError:
 
 
 def _poses(answer: Any) -> NDArray[np.float64] | None:
-    """Return poses [K, 3], all NaN where one of the three is not finite; None if they are none."""
+    """Return poses [K, 3], all NaN where one of the three is not finite; None if there are no
+    poses."""
     try:
         poses = np.array(answer, np.float64)
     except (TypeError, ValueError):

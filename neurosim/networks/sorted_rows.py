@@ -13,7 +13,7 @@ _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 27}
 
 
 class SortedRows:
-    """The inputs that the product units of all networks share.
+    """The inputs that the product units of all networks fraction.
 
     Attributes:
         order: the rows' places in the data, [N].

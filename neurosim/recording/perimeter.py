@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base.perimeter import DOUBT, EDGE, ENDS, LINE, STOPPING
+from neurosim.base.perimeter import DISTANCE_ERROR, EDGE, ENDS, LINE, STOPPING
 
 #: A picture is this old when it arrives, at most, s.
 LATENCY = 0.1
@@ -129,7 +129,7 @@ class PositionGuard(Reckoning):
         here, _ = self.predict(pose, since, now)
         there, distance = self.predict(pose, since, now + STOPPING)
         beyond = self.beyond(there)
-        return beyond + DOUBT * distance > 0 and beyond > self.beyond(here) + 1e-4
+        return beyond + DISTANCE_ERROR * distance > 0 and beyond > self.beyond(here) + 1e-4
 
     def middle(self, clearance: float, rng: np.random.Generator) -> NDArray:
         """Return a random place [2] with ``clearance`` (m) to every edge, if there is one."""

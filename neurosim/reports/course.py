@@ -199,7 +199,7 @@ def draw_scene(axes: Axes, scene: Scene, scale: float = 1.0) -> None:
     """Draw board, place and outline of the task, so many units to a metre.
 
     Raises:
-        UserError: if a shape is none that can be drawn.
+        UserError: if a shape cannot be drawn.
     """
     if scene.board is not None:
         _polygon(axes, scale * _box(scene.board), fc=INK["board"], ec=INK["muted"], lw=1.0)

@@ -2,7 +2,7 @@
 
 Every colour of a figure is one of :data:`INK`'s codes. In the page each becomes a CSS variable,
 so that one drawing serves light, dark and paper. The palette is Okabe and Ito's (2008), which
-colour-blind readers can tell apart.
+readers with colour vision deficiency can distinguish.
 """
 
 from __future__ import annotations

@@ -38,13 +38,13 @@ class Finding:
     Attributes:
         what: that was tried, in a word or two.
         verdict: good, wrong, or unknown where nothing can tell.
-        says: one sentence; of what is wrong or unknown also what to do.
+        sentence: one sentence; of what is wrong or unknown also what to do.
         measured: numbers, by name, with the unit in the name.
     """
 
     what: str
     verdict: Verdict
-    says: str
+    sentence: str
     measured: dict[str, Any] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:

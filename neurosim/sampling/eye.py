@@ -24,7 +24,7 @@ from tracking.poses import marker_geometry, marker_poses, unwrap
 #: Pictures that arrive now may be so old, s.
 LATE = 0.3
 #: A motion is measured by as many pictures of the robot or more, over this fraction of its time.
-_PICTURES, _SHARE = 6, 0.6
+_PICTURES, _FRACTION = 6, 0.6
 
 
 class Eye:
@@ -96,7 +96,7 @@ class Eye:
         with self._lock:
             seen = [item for item in self._seen if item[0] >= begin]
         times = np.array([time for _, time, _, _ in seen])
-        if len(seen) < _PICTURES or np.ptp(times) < _SHARE * duration:
+        if len(seen) < _PICTURES or np.ptp(times) < _FRACTION * duration:
             raise UserError(
                 "the camera delivers no more pictures; check it and continue with --resume"
                 if self._camera.failed or self._camera.stalled

@@ -90,11 +90,11 @@ class Counters:
         before, first = robot.read_counts(), clock.now()
         clock.sleep_until(first + duration)
         after, last = robot.read_counts(), clock.now()
-        ways = [
+        distances = [
             size * (b - a) / robot.pulses_per_metre
             for size, a, b in zip(self._sizes, before, after, strict=True)
         ]
-        return last - first, se2.exp(se2.of_wheels(*ways, self._wheel_base))
+        return last - first, se2.exp(se2.of_wheels(*distances, self._wheel_base))
 
 
 def _drive(

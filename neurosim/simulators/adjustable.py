@@ -42,7 +42,7 @@ class Adjustable:
         self.checked(self.value)
 
     def at(self, fraction: float) -> float:
-        """Return the value at a share 0..1 of the range; what is outside is cut to it."""
+        """Return the value at a fraction 0..1 of the range; what is outside is cut to it."""
         fraction = min(max(fraction, 0.0), 1.0)
         if self.log:
             value = self.low * (self.high / self.low) ** fraction
@@ -51,7 +51,7 @@ class Adjustable:
         return min(max(value, self.low), self.high)
 
     def share(self, value: float) -> float:
-        """Return at which share of the range a value is.
+        """Return at which fraction of the range a value is.
 
         Raises:
             UserError: if it is out of bounds.

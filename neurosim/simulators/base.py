@@ -121,7 +121,7 @@ class Simulator:
         noise_kind: of these numbers: ``normal`` (standard) or ``uniform`` (-1 to 1).
         domain: lowest and highest value of the command's columns that it was made from, by name;
             a column that is not named has no limits.
-        slack: commands may leave the domain by this share of its width.
+        slack: commands may leave the domain by this fraction of its width.
         knows_gaps: whether :meth:`supported` tells gaps within the domain.
         radius: of the robot, m; None: its size is not known.
         perimeter: where the guard ends drives on the robot that it is a simulator of; None: nobody

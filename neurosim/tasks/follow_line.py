@@ -128,8 +128,8 @@ class FollowLine(Task):
     def _seen(self, poses: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
         """Return of poses [..., 3] the distance from the line, the way along it, and the sense.
 
-        [...] each, m, m, and 1 where the robot faces along the line, else -1. Poses that are none
-        are far away.
+        [...] each, m, m, and 1 where the robot faces along the line, else -1. Unknown poses are far
+        away.
         """
         away, along = self.line.nearest(np.nan_to_num(poses[..., :2], nan=1e6))
         heading = self.line.poses(along)[..., 2]

@@ -217,7 +217,7 @@ def anywhere(
 
 
 def _finite(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses, those far away that are none."""
+    """Return poses, with unknown ones far away."""
     return np.nan_to_num(poses, nan=_FAR, posinf=_FAR, neginf=-_FAR)
 
 
@@ -225,8 +225,8 @@ def _to_segment(point: NDArray, a: NDArray, b: NDArray) -> NDArray:
     """Return the distances [...] of points [..., 2] to the segments from a to b [..., 2]."""
     along = b - a
     square = (along * along).sum(-1)
-    share = ((point - a) * along).sum(-1) / np.where(square > 0, square, 1.0)
-    return np.linalg.norm(a + np.clip(share, 0, 1)[..., None] * along - point, axis=-1)
+    fraction = ((point - a) * along).sum(-1) / np.where(square > 0, square, 1.0)
+    return np.linalg.norm(a + np.clip(fraction, 0, 1)[..., None] * along - point, axis=-1)
 
 
 def _between_segments(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:

@@ -1,4 +1,4 @@
-"""What every trainer offers, and the data that it is given."""
+"""The protocol of trainers, and their data."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class TrainingData:
 
     @property
     def input_scale(self) -> Tensor:
-        """What inputs are divided by, [I]: scaled inputs lie in [-1, 1]."""
+        """The divisors of the inputs, [I]: scaled inputs lie in [-1, 1]."""
         if self.scale is not None:
             return self.scale
         scale = self.x.abs().amax(0)

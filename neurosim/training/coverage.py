@@ -27,7 +27,7 @@ def coverage(
     """Return how much of a dataset lies within the intervals that a simulator gives.
 
     Returns:
-        For each output, level ("0.5", ...) -> share of rows within the central interval of that
+        For each output, level ("0.5", ...) -> fraction of rows within the central interval of that
         probability; None if the simulator has no noise model.
     """
     ranks = central_ranks(simulator, rows.input_array(), rows.output_array(), seed)
@@ -57,15 +57,15 @@ def central_ranks(
         return None
     generator = torch.Generator().manual_seed(seed)
     x = simulator.chained(torch.tensor(inputs))
-    drawn = draw_displacements(simulator, x, draws, generator).numpy()
-    return central(drawn, actual)
+    samples = draw_displacements(simulator, x, draws, generator).numpy()
+    return central(samples, actual)
 
 
 def draw_displacements(
     simulator: MotionNetwork, x: Tensor, draws: int, generator: torch.Generator
 ) -> Tensor:
     """Return displacements [D, N, 3] drawn for scaled inputs [N, I], each with member and noise."""
-    drawn = torch.empty(draws, len(x), 3, dtype=torch.float64)
+    samples = torch.empty(draws, len(x), 3, dtype=torch.float64)
     members = torch.arange(draws) % simulator.members
     for part in torch.arange(len(x)).split(_ROWS):
         own = x[part]
@@ -73,43 +73,45 @@ def draw_displacements(
         means = mean[members].flatten(0, 1)
         z = simulator.noise.draw(len(means), 1, generator)[:, 0]
         noisy = simulator.disturbed(own.repeat(draws, 1), means, z)
-        drawn[:, part] = noisy.unflatten(0, (draws, -1))
-    return drawn
+        samples[:, part] = noisy.unflatten(0, (draws, -1))
+    return samples
 
 
-def central(drawn: NDArray, actual: NDArray) -> NDArray:
+def central(samples: NDArray, actual: NDArray) -> NDArray:
     """Return the probability of the smallest central interval that holds what happened.
 
     Intervals are central in probability: as much lies below as above.
 
     Args:
-        drawn: (D, N, K) samples drawn of each of N things.
+        samples: (D, N, K) samples of each of N things.
         actual: (N, K).
 
     Returns:
-        (N, K) in 0..1; at most p for a share p of them if the intervals are right.
+        (N, K) in 0..1; at most p for a fraction p of them if the intervals are right.
     """
     # Half a draw to either side: an outcome beyond all of the draws is not quite impossible.
-    below = ((drawn < actual).sum(0) + 0.5 * (drawn == actual).sum(0) + 0.5) / (len(drawn) + 1)
+    below = ((samples < actual).sum(0) + 0.5 * (samples == actual).sum(0) + 0.5) / (
+        len(samples) + 1
+    )
     return np.abs(2.0 * below - 1.0)
 
 
-def region(drawn: NDArray, actual: NDArray) -> NDArray:
+def region(samples: NDArray, actual: NDArray) -> NDArray:
     """Return the probability of the smallest region that holds where a robot came to.
 
-    Regions are ellipses about the mean of the points drawn, in the shape of their covariance
-    (Mahalanobis distance), as large as holds the share of the points drawn.
+    Regions are ellipses about the mean of the samples, in the shape of their covariance
+    (Mahalanobis distance), as large as holds the fraction of the samples.
 
     Args:
-        drawn: (D, N, 2) points drawn of each of N robots.
+        samples: (D, N, 2) points of each of N robots.
         actual: (N, 2).
 
     Returns:
         (N,) in 0..1.
     """
-    centre = drawn.mean(0)
-    off = drawn - centre
-    shape = np.linalg.inv(np.einsum("dni,dnj->nij", off, off) / (len(drawn) - 1))
+    centre = samples.mean(0)
+    off = samples - centre
+    shape = np.linalg.inv(np.einsum("dni,dnj->nij", off, off) / (len(samples) - 1))
     far = np.einsum("dni,nij,dnj->dn", off, shape, off)
     own = np.einsum("ni,nij,nj->n", actual - centre, shape, actual - centre)
-    return ((far < own).sum(0) + 0.5) / (len(drawn) + 1)
+    return ((far < own).sum(0) + 0.5) / (len(samples) + 1)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-#: Inputs count as at least so large, and a column's errors as larger by this share of their mean:
-#: zero has no logarithm.
+#: Inputs count as at least this large, and errors of a column as larger by this fraction of their
+#: mean: zero has no logarithm.
 _LEAST_INPUT, _LEAST_ERROR = 0.05, 0.1
 
 
 def size_features(x: Tensor) -> Tensor:
-    """Return what the logarithm of an error is linear in, [N, F], of scaled inputs [N, I]."""
+    """Return the features of an error's logarithm, [N, F], for scaled inputs [N, I]."""
     size = x.abs()
     return torch.cat([size.clamp(min=_LEAST_INPUT).log(), size, torch.ones_like(size[:, :1])], 1)
 
@@ -26,7 +26,7 @@ def size_weights(features: Tensor, errors: Tensor, ridge: float) -> Tensor:
     Args:
         features: of :func:`size_features`.
         errors: of the rows, a column each.
-        ridge: added to the diagonal of the equations, as a share of its mean.
+        ridge: added to the diagonal of the equations, as a fraction of its mean.
     """
     square = features.T @ features
     square.diagonal().add_(ridge * square.diagonal().mean())

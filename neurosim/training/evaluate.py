@@ -67,7 +67,7 @@ def evaluate(
             f"{dataset} has the inputs {', '.join(rows.inputs)}, but {simulator} takes "
             f"{', '.join(network.input_names)}; name a dataset of the same robot"
         )
-    held_out = _held_out_share(network, dataset)
+    held_out = _held_out_fraction(network, dataset)
     own = held_out is not None
     fitted_to = used = rows
     if own:
@@ -95,8 +95,8 @@ def evaluate(
     }
 
 
-def _held_out_share(network: MotionNetwork, dataset: str | Path) -> float | None:
-    """Return the share of a dataset's rows held out when the simulator was trained on it."""
+def _held_out_fraction(network: MotionNetwork, dataset: str | Path) -> float | None:
+    """Return the fraction of a dataset's rows held out when the simulator was trained on it."""
     source, training = network.meta.get("source"), network.meta.get("training")
     if not isinstance(source, dict) or not isinstance(training, dict):
         return None

@@ -2,10 +2,10 @@
 
 Query by committee (Seung, Opper and Sompolinsky, Query by committee, COLT 1992): the members of an
 ensemble that learned from the rows so far disagree about commands that these rows say little about.
-What a command's outcome would tell is how much of that disagreement it takes away, which is less
-where the outcome is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models,
-JAIR 4, 1996). The best of a few random commands is taken, not the best of all: so what is chosen
-stays spread out, and what the committee agrees on by mistake is met now and then.
+The information of a command is the part of that disagreement that it would remove, which is less if
+its result is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models, JAIR 4,
+1996). The best of a few random commands is taken, not the best of all: so what is chosen stays
+spread out, and what the committee agrees on by mistake is met now and then.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Committee:
         self._usual = self._noise(data.x).square().mean(0)
 
     def displacements(self, x: Tensor) -> Tensor:
-        """Return what every member says, [M, N, 3] (m, m, rad), of inputs [N, I]."""
+        """Return every member's prediction, [M, N, 3] (m, m, rad), for inputs [N, I]."""
         members, rows = self._ensemble.members, len(x)
         each = torch.arange(members).repeat_interleave(rows)
         return self._ensemble.displacement(x.repeat(members, 1), each).view(members, rows, 3)
@@ -164,10 +164,10 @@ def choose(
     pose = None if place is None else np.array(place.pose, float)
     for number in numbers:
         first = settings.candidates * number
-        drawn = [source.command(first + k) for k in range(settings.candidates)]
+        candidates = [source.command(first + k) for k in range(settings.candidates)]
         if before is None:  # the robot stands
-            before = (0.0,) * len(drawn[0].numbers)
-        x = torch.tensor([[*before, *c.row] for c in drawn], dtype=torch.float64)
+            before = (0.0,) * len(candidates[0].numbers)
+        x = torch.tensor([[*before, *c.row] for c in candidates], dtype=torch.float64)
         predicted = committee.displacements(x)
         worth = committee.worth(x, predicted).numpy()
         if place is None or pose is None:
@@ -181,8 +181,8 @@ def choose(
             else:
                 best = int(np.hypot(path[-1, :, 0], path[-1, :, 1]).argmin())
             pose = path[-1, best]
-        chosen.append(drawn[best])
-        before = drawn[best].numbers
+        chosen.append(candidates[best])
+        before = candidates[best].numbers
     return chosen
 
 

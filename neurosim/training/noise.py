@@ -32,8 +32,8 @@ PULL = 1.0
 #: Residuals are not distinguished below this, m and rad.
 FINEST = 1e-6
 
-#: Sources where the search begins, as shares of the residuals' root mean squares: one of turn and
-#: one forward, of a turn and a way ahead alike, and one of a curve to the side.
+#: Sources where the search begins, as fractions of the residuals' root mean squares: one of turn
+#: and one forward, of a turn and a distance ahead alike, and one of a curve to the side.
 BEGIN = (
     ((0.2, 0.1, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (0.0, 0.0, 0.0)),
@@ -41,7 +41,7 @@ BEGIN = (
 )
 
 #: Places and weights of Gauss-Hermite quadrature over a standard normal number.
-_PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
+_PLACES, _WEIGHTS = (torch.from_numpy(part) for part in hermegauss(11))
 
 #: Of ln tau where nothing is known: slight tails.
 SLIGHT = -0.7
@@ -75,7 +75,7 @@ def fit_noise(
     h[0] = SLIGHT
     h.requires_grad_()
     u = torch.tensor(BEGIN, dtype=torch.float64, requires_grad=True)
-    shares = (_SHARES / _SHARES.sum()).log()
+    log_weights = (_WEIGHTS / _WEIGHTS.sum()).log()
 
     def loss() -> Tensor:
         optimiser.zero_grad()
@@ -94,7 +94,7 @@ def fit_noise(
             # As if each had been read to the finest step only: no residual is likelier than that.
             power = power + z[-1].square() + (FINEST / size[k] / row[-1]).square()
             log_size = log_size + row[-1].log()
-        likelihood = (shares - power / 2.0 - log_size).logsumexp(-1)
+        likelihood = (log_weights - power / 2.0 - log_size).logsumexp(-1)
         pull = w[:, 1:].square().sum() + (h[0] - SLIGHT).square() + h[1:].square().sum()
         value = -(weight * likelihood).sum() / rows
         value = value + PULL * (pull + u.square().sum()) / (2 * rows)

@@ -10,7 +10,7 @@ its points,
 which is a Gaussian random field of Matern covariance (Lindgren, Rue, Lindstrom 2011, J. R. Stat.
 Soc. B 73): L is the Laplacian of the grid, kappa its cell over a length. Mounting, time and lambda
 are those of the least error in cross-validation: readings of whole spans of time are left out in
-turn. Sensors share a map where that predicts the readings left out better than a map for each.
+turn. Sensors fraction a map where that predicts the readings left out better than a map for each.
 A sensor whose readings do not follow from the place gets a map that is flat, and wide noise.
 """
 
@@ -182,13 +182,13 @@ def learn_sensors(
 
     Args:
         readings: the table of :mod:`tracking.datasets.readings`.
-        held_out: the share of the readings, last in time, on which the result is tried.
+        held_out: the fraction of the readings, last in time, on which the result is tried.
         progress: show progress on stderr.
 
     Returns:
         The sensors, and what simulator.json says of them: for each its mounting (m), when it is
-        read (s), its noise, and the root mean square of its readings' errors beside that of their
-        differences from their mean.
+        read (s), its noise, and the root mean square of its readings' errors, relative to their
+        standard deviation.
 
     Raises:
         UserError: if there are too few readings, or one's name is that of something else.
@@ -269,8 +269,10 @@ def _mounting(rows: _Rows, sensor: int) -> NDArray[np.float64]:
     """Return about where a sensor is mounted and when it is read, [3] m, m, s."""
     rows = replace(rows, values=rows.values[:, [sensor]])
     coarse = _Maps(rows, COARSE, *_ROUGH)
-    ways = np.arange(-REACH, REACH + STEP / 2, STEP)
-    tries = [(ahead, aside) for ahead in ways for aside in ways if np.hypot(ahead, aside) <= REACH]
+    offsets = np.arange(-REACH, REACH + STEP / 2, STEP)
+    tries = [
+        (ahead, aside) for ahead in offsets for aside in offsets if np.hypot(ahead, aside) <= REACH
+    ]
     # Readings that do not differ say nothing of where they are from.
     if rows.values.std() < 1e-6:
         return np.zeros(3)
@@ -312,7 +314,7 @@ def _refine(
 
 
 def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
-    """Return which sensors share a map: each joins those with whom it is predicted better."""
+    """Return which sensors fraction a map: each joins those with whom it is predicted better."""
     groups: list[list[int]] = []
     errors: list[float] = []
     for s in range(len(mounts)):
@@ -423,15 +425,15 @@ def _conjugate_gradients(points, weights, values, kappa, smooth, exact, x):
     inner, image = np.empty_like(x), np.empty_like(x)
     _normal(points, weights, kappa, smooth, x, inner, image)
     residual -= image
-    way = residual.copy()
+    direction = residual.copy()
     square = (residual * residual).sum()
     for _ in range(2000):
         if square <= exact * whole:
             break
-        _normal(points, weights, kappa, smooth, way, inner, image)
-        step = square / (way * image).sum()
-        x += step * way
+        _normal(points, weights, kappa, smooth, direction, inner, image)
+        step = square / (direction * image).sum()
+        x += step * direction
         residual -= step * image
         after = (residual * residual).sum()
-        way = residual + after / square * way
+        direction = residual + after / square * direction
         square = after

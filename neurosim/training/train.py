@@ -29,7 +29,7 @@ from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
-#: The share of rows, last in time, that is never seen by training.
+#: The fraction of rows, last in time, that is never seen by training.
 HELD_OUT = 0.2
 
 #: Fewer rows than this are not a recording of a robot.

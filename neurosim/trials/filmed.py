@@ -191,7 +191,7 @@ class VirtualNxt(Driven):
             worn: Wear of the left wheel, as a fraction of its diameter.
 
         Raises:
-            UserError: if the controller does not command wheels, or a number is none that can be.
+            UserError: if the controller does not command wheels, or a value is out of range.
         """
         if {*controller.outputs} - {"duration"} != {*WHEELS}:
             raise UserError(

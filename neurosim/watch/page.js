@@ -236,7 +236,7 @@ async function send(what, content) {
     say(answer.error, true, again && { label: "Replace", run: () => send("save", { ...content, replace: true }) });
   } else {
     state.corners = answer.corners;
-    say(answer.says);
+    say(answer.message);
   }
   return !answer.error;
 }

@@ -3,7 +3,7 @@
 It listens on the loopback address alone. Whatever else runs on this computer, or is open in its
 browser, is kept out: every address holds a secret that is drawn again for each run; a request
 must name this server as its host, so that a foreign name that resolves to this computer gets
-nothing (DNS rebinding); and one that a page of another site makes is refused. The page may load
+nothing (DNS rebinding); and requests of pages of other sites are rejected. The page may load
 nothing from anywhere else, and no other page may frame it.
 """
 
@@ -290,7 +290,7 @@ class _Handler(BaseHTTPRequestHandler):
             message = viewer.save(name, replace=asked.get("replace") is True)
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
-        return *_json({"says": message, "corners": viewer.corners}), {}
+        return *_json({"message": message, "corners": viewer.corners}), {}
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base import se2
-from neurosim.base.perimeter import DOUBT, EDGE, LINE, SPACING, STOPPING, Board, Perimeter
+from neurosim.base.perimeter import DISTANCE_ERROR, EDGE, LINE, SPACING, STOPPING, Board, Perimeter
 
 BOARD = Board(2.0, 1.0, line_inset=0.1, line_width=0.02)
 #: A sensor 6 cm ahead of the axle and 9 cm to either side.
@@ -42,7 +42,7 @@ def test_backwards_the_position_is_what_ends_it():
     code, pose = end(perimeter, (-0.5, 0, 0), (-0.94, 0, 0), 4.4)
     assert code == EDGE
     ahead = 0.1 * STOPPING  # at 0.1 m/s
-    assert pose[0] == pytest.approx(-(0.95 - (1 + DOUBT) * ahead), abs=0.01)
+    assert pose[0] == pytest.approx(-(0.95 - (1 + DISTANCE_ERROR) * ahead), abs=0.01)
     assert end(Perimeter(BOARD, SENSORS, margin=None), (-0.5, 0, 0), (-0.94, 0, 0), 4.4)[0] == 0
 
 

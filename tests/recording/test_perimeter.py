@@ -5,7 +5,7 @@ import pytest
 
 from neurosim.base.commands import TWO_WHEELS
 from neurosim.recording.homing import bearing
-from neurosim.recording.perimeter import DOUBT, LATENCY, STOPPING, PositionGuard
+from neurosim.recording.perimeter import DISTANCE_ERROR, LATENCY, STOPPING, PositionGuard
 
 BOARD = {"length": 2.0, "width": 1.0}
 
@@ -48,7 +48,7 @@ def test_the_robot_is_stopped_where_it_would_come_to_stand_at_the_margin(heading
     p = perimeter()
     speed = 0.2 if heading == 0 else -0.2
     p.sent(0.0, TAKES.twist((200 * speed, 200 * speed)))
-    run_out = 0.2 * (LATENCY + STOPPING) * (1 + DOUBT)
+    run_out = 0.2 * (LATENCY + STOPPING) * (1 + DISTANCE_ERROR)
     for off, leaves in ((-0.002, False), (0.002, True)):
         pose = np.array([0.9 - run_out + off, 0.0, heading])
         assert p.leaves(pose, 5.0, 5.0) is leaves

@@ -23,7 +23,7 @@ def lines(ask=None, **options):
 
 
 def wrong(found):
-    return {what: one.says for what, one in found.items() if one.verdict == "wrong"}
+    return {what: one.sentence for what, one in found.items() if one.verdict == "wrong"}
 
 
 def test_a_robot_that_is_as_it_says():
@@ -43,7 +43,7 @@ def test_a_khepera_has_nothing_that_stops_it():
     with VirtualKheperaRig(1, start=(-0.1, 0.1, 0.0)) as rig:
         found = checked(rig)
     assert set(wrong(found)) == {"self-stopping"}
-    assert "when the computer fails" in found["self-stopping"].says
+    assert "when the computer fails" in found["self-stopping"].sentence
     assert found["battery"].verdict == "unknown"
 
 
@@ -56,7 +56,7 @@ def test_where_nothing_counts_a_person_is_asked():
     assert "Did it drive forward?" in asked
     assert "Did it drive to its left?" in asked
     assert set(wrong(found)) == {"command omega"}
-    assert "change the sign" in found["command omega"].says
+    assert "change the sign" in found["command omega"].sentence
     with VirtualRig(1, camera=False) as rig:
         assert checked(rig)["command left"].verdict == "unknown"
 

@@ -210,12 +210,12 @@ def test_what_cannot_be_is_said_in_a_sentence(server, tmp_path):
     assert "m long" in say("board", length=-1, width=1)["error"]
     for corner in ("top left", "top right", "bottom right"):
         u = {"top left": 20, "top right": 60, "bottom right": 100}[corner]
-        assert say("corner", corner=corner, u=u, v=50)["says"].startswith("next")
+        assert say("corner", corner=corner, u=u, v=50)["message"].startswith("next")
     assert "in a wrong order" in say("corner", corner="bottom left", u=140, v=50)["error"]
     say("corner", corner="top left", u=20, v=10)
     say("corner", corner="top right", u=140, v=10)
     say("corner", corner="bottom right", u=140, v=90)
-    assert "lens is not known" in say("corner", corner="bottom left", u=20, v=90)["says"]
+    assert "lens is not known" in say("corner", corner="bottom left", u=20, v=90)["message"]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -58,10 +58,10 @@ def calibrate(
 
     How uncertain it is comes from calibrating with halves of the photographs: corners of one
     photograph err together, so that the residuals' covariance states half of the scatter that
-    other photographs bring. What half of them find is spread about what all of them find as that
-    is about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate
-    with; they are left out one by one instead (the jackknife, Tukey 1958), which states about a
-    sixth too little. Three photographs are too few.
+    other photographs bring. The results of halves scatter about the result of all as that does
+    about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate with;
+    they are left out one by one instead (the jackknife, Tukey 1958), which states about a sixth too
+    little. Three photographs are too few.
 
     Corners that were found in a wrong place, and photographs that do not fit the others, are left
     out: see :func:`tracking.camera.lens.fit_robustly`.

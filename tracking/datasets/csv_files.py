@@ -133,8 +133,8 @@ def import_csv(
     if shape == "log":
         drives: list[logs.Log] = []
         for name, table in zip(names, tables, strict=True):
-            found_in, notes = _logs(table, name, commands, conventions, settings, session)
-            drives += found_in
+            of_file, notes = _logs(table, name, commands, conventions, settings, session)
+            drives += of_file
             warnings += [f"{table.path}: {sentence}" for sentence in notes]
         drives, notes = in_step(drives, settings.delay)
         warnings += notes

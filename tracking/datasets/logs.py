@@ -345,6 +345,6 @@ def _first(log: Log) -> NDArray:
         return log.commands[0]
     times = np.array([log.time[0], log.time[0] + span, log.time[end] - span, log.time[end]])
     poses = log.pose_at(times)
-    ways = np.abs(se2.between(poses[::2], poses[1::2]))
-    stood = (ways[0] <= 0.4 * ways[1]).all()
+    moved = np.abs(se2.between(poses[::2], poses[1::2]))
+    stood = (moved[0] <= 0.4 * moved[1]).all()
     return np.zeros_like(log.commands[0]) if stood else log.commands[0]

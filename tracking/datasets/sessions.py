@@ -24,7 +24,7 @@ from tracking.datasets.logs import Log, Settings, is_known
 _SILENCE = 10.0
 #: A step is a jump if it is so many times as fast as all but 1 % of the steps, and so many times as
 #: fast as the three before and after it.
-_JUMP, _BESIDE = 4.0, 8.0
+_JUMP, _OVER_NEIGHBOURS = 4.0, 8.0
 #: Courses are taken over so long, s; headings are to fit them within so much, rad.
 _COURSE, _FITS = 0.5, 0.6
 #: Half of the courses must fit within this, rad, before others are taken for wrong.
@@ -194,7 +194,7 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     jumps = []
     for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
         neighbours = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]
-        if speed[place] > _BESIDE * np.median(neighbours):
+        if speed[place] > _OVER_NEIGHBOURS * np.median(neighbours):
             jumps.append(place + 1)
     return np.array(jumps, np.int64)
 

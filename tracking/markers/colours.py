@@ -62,7 +62,7 @@ def parse_colour(text: str) -> Colour:
     """Read a colour: a name, ``#rrggbb``, or ``hsv:h,s,v`` (degrees, percent, percent).
 
     Raises:
-        UserError: if it is none of these, or a grey, which has no hue to look for.
+        UserError: if it is unknown, or a grey, which has no hue.
     """
     word = text.strip().lower()
     if word in NAMED:

@@ -228,7 +228,7 @@ class Tracker:
             self._home = lost if self._are_apart(lost, pixels) else None
 
     def _at_home(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
-        """Return what is where the robot was lost: that is it, and what is followed is another."""
+        """Return the pair where the robot was lost; it is the robot, not the followed pair."""
         if self._home is None or self._frames % SEARCH_CADENCE:
             return None
         if not self._are_apart(self._home, self._motion.pixels):

@@ -67,7 +67,7 @@ class Bridge:
 
         Raises:
             RobotError: if nothing listens there, or what listens is no WebSocket.
-            UserError: if the address is none.
+            UserError: if the address is wrong.
         """
         end = WebSocketEnd(self.url)
         why = (
@@ -273,7 +273,7 @@ class Bridge:
                 raise self._cut("it hung up")
 
     def _take(self, text: str) -> None:
-        """Take a message of the server; what is none of ours is passed over."""
+        """Take a message of the server; messages of other kinds are ignored."""
         try:
             message = json.loads(text)
             kind = message["op"]

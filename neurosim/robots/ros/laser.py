@@ -14,8 +14,8 @@ SCAN = "sensor_msgs/msg/LaserScan"
 class Sectors:
     """Divides scans into sectors of equal width: the first looks ahead, the others to its left.
 
-    After sensor_msgs/LaserScan and REP 117: a range outside of the laser's own limits is none. Nor
-    is null, which rosbridge sends in place of infinity and of what is not a number.
+    After sensor_msgs/LaserScan and REP 117: a range outside of the laser's own limits is ignored,
+    and so is null, which rosbridge sends in place of infinity and of what is not a number.
 
     Args:
         count: of the sectors.

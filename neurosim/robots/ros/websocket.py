@@ -23,7 +23,7 @@ class WebSocketEnd:
         pings: how many pings have come; their answers are among what is to be sent.
 
     Raises:
-        UserError: if the URL is none, or the package websockets is missing.
+        UserError: if the URL is wrong, or the package websockets is missing.
     """
 
     def __init__(self, url: str | None = None):

@@ -28,7 +28,7 @@ from neurosim.robots.quadruped import (
     standing,
 )
 
-#: Share of a leg's mass that is in the upper leg.
+#: Fraction of a leg's mass that is in the upper leg.
 UPPER_FRACTION = 0.6
 
 
@@ -147,7 +147,7 @@ class Build(LeggedBuild):
         damping: of each joint, N m s/rad.
         joint_friction: dry friction of each joint, N m.
         backlash: how far each joint can be turned with its motor standing still, rad; 0: none.
-        legs: length of each lower leg, as a share of what it should be.
+        legs: length of each lower leg, as a fraction of what it should be.
         bumps: (x, y, radius, height) of flat spherical caps on the floor, m.
     """
 

@@ -33,7 +33,7 @@ UPPER = 0.10  # length of the upper legs, m
 HALF = (0.036, 0.116, 0.016)
 #: Radii of the upper legs and servos, and of the lower legs, m.
 THICK, THIN = 0.018, 0.006
-#: Share of a leg's mass that is in the upper leg: a guess.
+#: Fraction of a leg's mass that is in the upper leg: a guess.
 UPPER_FRACTION = 0.45
 
 
@@ -46,7 +46,7 @@ class QuadraTot(LeggedBuild):
     Attributes:
         mass: of the whole robot, kg.
         leg: mass of each leg, with the servo in it, kg.
-        rear: share of the rest of the mass that is in the rear half.
+        rear: fraction of the rest of the mass that is in the rear half.
         shin: length of each lower leg, m.
         belly: how far the halves reach down below the hips, m.
         light: how far ahead of the middle the light is, m.

@@ -34,7 +34,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class Correction(Checked):
-    """What is corrected of the motion; as it stands, nothing.
+    """Corrections of the motion; by default none.
 
     Attributes:
         forward: factor of the distance forward.

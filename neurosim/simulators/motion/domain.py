@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from neurosim.base.threads import on_cores
 
-#: Commands may leave the ranges by this share of their width, or by that of so many rows, whichever
-#: is more: the largest that was recorded is not quite the largest that was meant.
+#: Commands may leave the ranges by this fraction of their width, or of as many rows' width,
+#: if that is more: the largest recorded command is not quite the largest intended one.
 SLACK, SLACK_ROWS = 0.05, 6.0
 #: A difference of durations counts so much beside one of speeds, each over its largest: the same
 #: motion for another time is no other motion.
 TIME_WEIGHT = 0.25
 #: A command is near a row within :data:`MARGIN` (more by :data:`FEW` over the number of rows) times
-#: the distance within which this share of the rows have a neighbour.
+#: the distance within which this fraction of the rows have a neighbour.
 NEIGHBOURS, MARGIN, FEW = 0.98, 1.0, 14.0
 #: Neighbours are of another one of so many stretches of time: rows that follow each other may be
 #: alike because of that.
@@ -48,7 +48,7 @@ class Domain:
             cells are of equal width, from ``lowest`` to ``highest`` with the slack at both ends.
 
     Raises:
-        ValueError: if the shapes do not fit each other, or a range is none.
+        ValueError: if the shapes do not fit each other, or a range is empty.
     """
 
     names: tuple[str, ...]
@@ -77,7 +77,7 @@ class Domain:
 
     @property
     def slack(self) -> float:
-        """By which share of its width a range may be left."""
+        """By which fraction of its width a range may be left."""
         return slack_of(self.rows)
 
     @property
@@ -139,7 +139,7 @@ class Domain:
 
 
 def slack_of(rows: int) -> float:
-    """Return by which share of its width a range of so many rows may be left."""
+    """Return by which fraction of its width a range of so many rows may be left."""
     return max(SLACK, SLACK_ROWS / rows)
 
 

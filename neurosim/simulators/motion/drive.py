@@ -13,13 +13,13 @@ has overcome it. Within its dead band it stands; beyond it the goal is a static 
 command, forwards and backwards each of its own, which need not rise. The speeds, and their products
 by pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at
 small steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
-What slips in curves, as skid steering does, loses speed in proportion to the rate of turn: the
-speeds times the magnitude of one of their linear combinations are part of the twist, too.
+A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
+the speeds times the magnitude of one of their linear combinations are part of the twist, too.
 
 So what is under way where a command begins (:class:`Underway`) says all about the commands before
 it, and speeds and distances until any instant follow in closed form. The pose does by pieces of
 constant twist: while the speeds change, in :data:`PHASES`, and one more for the rest.
-What a robot really does differs; the networks learn that difference.
+The real motion differs; the networks learn that difference.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PHASES, SETTLED = 2, 2.5
 #: How many numbers a static curve has beside its slope.
 CURVES = 6
 
-#: Static friction holds an actuator that stands; one of this speed, a share, it no longer holds.
+#: Static friction holds an actuator that stands; one of this speed, a fraction, it no longer holds.
 MOVING = 0.02
 
 #: Slower is standing: rounding is not to decide which way a wheel moves.
@@ -78,7 +78,7 @@ class Approach(NamedTuple):
 
 
 class Underway(NamedTuple):
-    """What is under way where a command begins.
+    """The state of the actuators at the beginning of a command.
 
     Attributes:
         speed: of the actuators, [B, C].
@@ -97,7 +97,7 @@ class Underway(NamedTuple):
 
 @dataclass(frozen=True)
 class DriveModel:
-    """Actuators and kinematics of a robot; speeds are shares of an input's largest value.
+    """Actuators and kinematics of a robot; speeds are fractions of an input's largest value.
 
     Attributes:
         lag: time constants, [C] s.
@@ -159,7 +159,7 @@ class DriveModel:
 
     @property
     def twists(self) -> Tensor:
-        """What makes the twist of what it is linear in, see :func:`motion_features`, [K, 3]."""
+        """The twist's coefficients of :func:`motion_features`, [K, 3]."""
         return torch.cat([self.kinematics, self.losses])
 
     def to(self, device: torch.device | str) -> DriveModel:
@@ -171,7 +171,7 @@ class DriveModel:
         return command * (1.0 + (curvature(command) * self.curve).sum(-1))
 
     def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
-        """Return what is under way at ``speed`` [B, C] where a single command acts.
+        """Return the state at ``speed`` [B, C] with a single command acting.
 
         Args:
             speed: of the actuators.
@@ -230,7 +230,7 @@ class DriveModel:
         return Approach(sign * left, sign * missed, settling, push)
 
     def _fallen(self, size: Tensor, lag: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what is left of differences after times [B, C], and the integral until then."""
+        """Return the rest of differences after times [B, C], and their integral until then."""
         linear = self.rate * lag
         ramp = (size - linear).clamp(min=0.0) / self.rate
         on_ramp, fading = torch.minimum(time, ramp), torch.minimum(size, linear)
@@ -275,7 +275,7 @@ class DriveModel:
     def after(
         self, under: Underway, commanded: Tensor, time: Tensor, reached: tuple[Tensor, Tensor]
     ) -> Underway:
-        """Return what is under way where a command ends.
+        """Return the state at the end of a command.
 
         Args:
             under: where it began.
@@ -294,14 +294,14 @@ class DriveModel:
         short = (torch.maximum(time, lasts) < SHORTEST_COMMAND * (1.0 - 1e-6)) & (acts[:, -2] > 0)
         join = ((acts[:, 1] > 0.0) | short).unsqueeze(1)
         waited = (acts[:, -1] - acts[:, -2].clamp(min=0.0)).clamp(min=0.0)
-        share = (waited / (waited + time).clamp(min=1e-9)).unsqueeze(1)
-        mean = share * goals[:, -2] + (1.0 - share) * commanded
+        fraction = (waited / (waited + time).clamp(min=1e-9)).unsqueeze(1)
+        mean = fraction * goals[:, -2] + (1.0 - fraction) * commanded
         joined = torch.cat([goals[:, :-2], mean.unsqueeze(1)], 1)
         goals = torch.where(join.unsqueeze(2), joined, goals[:, 1:])
         return Underway(*reached, goals, torch.where(join, acts[:, :-1], acts[:, 1:]))
 
     def pieces(self, under: Underway, commanded: Tensor, time: Tensor) -> list[Tensor]:
-        """Return what each piece of constant twist is linear in, tensors [B, K].
+        """Return the features of each piece of constant twist, tensors [B, K].
 
         The last is that after the speeds have settled; before it come :data:`PHASES` of each
         command that acts.
@@ -313,14 +313,14 @@ class DriveModel:
             end = self.approach(speed, goal, span, push)
             first = torch.where(span > LONG_WAIT, span / PHASES, 0.0)
             instants = [first * k for k in range(1, PHASES)]
-            pieces += self._ways(speed, push, goal, instants, span, end)
+            pieces += self._distances(speed, push, goal, instants, span, end)
             speed, push = self._come(speed, goal, span, push, end)
         end = self.approach(speed, commanded, own, push)
         settled = torch.minimum(own, end.settling.amax(-1).clamp(min=SHORTEST))
         instants = [settled * (k + 1) / PHASES for k in range(PHASES)]
-        return pieces + self._ways(speed, push, commanded, instants, own, end)
+        return pieces + self._distances(speed, push, commanded, instants, own, end)
 
-    def _ways(
+    def _distances(
         self,
         speed: Tensor,
         push: Tensor,
@@ -329,17 +329,17 @@ class DriveModel:
         time: Tensor,
         end: Approach,
     ) -> list[Tensor]:
-        """Return what the twists from one instant [B] to the next are linear in, [B, K] each.
+        """Return the features of the twists from one instant [B] to the next, [B, K] each.
 
         The last is that until ``time`` [B], of which the approach is ``end``.
         """
         pieces = []
-        way, began = torch.zeros_like(goal), torch.zeros_like(time)
+        before, began = torch.zeros_like(goal), torch.zeros_like(time)
         missed = [self.approach(speed, goal, one, push).missed for one in instants]
         for until, lost in zip((*instants, time), (*missed, end.missed), strict=True):
-            ways = goal * until.unsqueeze(-1) - lost
-            pieces.append(motion_features(ways - way, until - began, self.turning))
-            way, began = ways, until
+            distances = goal * until.unsqueeze(-1) - lost
+            pieces.append(motion_features(distances - before, until - began, self.turning))
+            before, began = distances, until
         return pieces
 
     def phases(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
@@ -361,7 +361,7 @@ class DriveModel:
 
 
 def curvature(command: Tensor) -> Tensor:
-    """Return by what goals differ from commands [..., C], as shares of these, [..., C, 6].
+    """Return by what goals differ from commands [..., C], as fractions of these, [..., C, 6].
 
     They are |u|, |u|^2, |u|^3 and, of opposite sign forwards and backwards, 1, |u|, |u|^2.
     """
@@ -380,20 +380,20 @@ def terms_of(count: int) -> int:
     return features_of(count) + count
 
 
-def motion_features(way: Tensor, time: Tensor, turning: Tensor) -> Tensor:
-    """Return what twists are linear in, [B, K].
+def motion_features(distance: Tensor, time: Tensor, turning: Tensor) -> Tensor:
+    """Return the features in which twists are linear, [B, K].
 
     Distances, time times products of mean speeds by pairs, and distances times the magnitude of
     the speeds' combination that stands for the rate of turn.
 
     Args:
-        way: distances of actuators, [B, C].
+        distance: distances of actuators, [B, C].
         time: that they took, [B] s.
         turning: of the combination, [C].
     """
-    count = way.shape[-1]
+    count = distance.shape[-1]
     time = time.unsqueeze(-1)
-    mean = way / time.clamp(min=1e-9)
+    mean = distance / time.clamp(min=1e-9)
     products = [mean[:, i] * mean[:, j] for i in range(count) for j in range(i, count)]
-    lost = way * (mean @ turning).abs().unsqueeze(-1)
-    return torch.cat([way, torch.stack(products, dim=-1) * time, lost], dim=-1)
+    lost = distance * (mean @ turning).abs().unsqueeze(-1)
+    return torch.cat([distance, torch.stack(products, dim=-1) * time, lost], dim=-1)

@@ -68,7 +68,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         "central": simulator.central,
         "noise": None if simulator.noise is None else NOISE,
         **({} if corrects is None else {"correction": corrects}),
-        **({} if simulator.known is None else {"domain": _said_of(simulator.known)}),
+        **({} if simulator.known is None else {"domain": _domain_to_json(simulator.known)}),
         **(
             {}
             if sensors is None
@@ -94,7 +94,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
     files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
 
 
-def _said_of(known: Domain) -> dict[str, Any]:
+def _domain_to_json(known: Domain) -> dict[str, Any]:
     ranges = {name: list(ends) for name, ends in known.ranges.items()}
     return {"commands": ranges, "rows": known.rows, "reach": known.reach}
 
@@ -143,8 +143,8 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         expected |= {f"kernel.{k}": v for k, v in zip(KERNEL, shapes, strict=True)}
     if noisy:
         expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
-    said = content.get("domain")
-    if said is not None:
+    stored = content.get("domain")
+    if stored is not None:
         expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)
     if content.get("sensors") is not None:
         count = len(content["sensors"]["names"])
@@ -155,7 +155,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     if (tensors["input_scale"] <= 0).any():
         weights = Path(folder) / "weights.safetensors"
         raise FileError(weights, "expected numbers above 0", field="input_scale")
-    known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
+    known = None if stored is None else _domain(path, stored, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
     described = {"format", "version", "outputs", *formats.MotionNetwork.__annotations__}
     meta = {key: value for key, value in content.items() if key not in described}
@@ -185,31 +185,35 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
 def _sensors(
     path: Path, content: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]
 ) -> Sensors | None:
-    said = content.get("sensors")
-    if said is None:
+    stored = content.get("sensors")
+    if stored is None:
         return None
-    for name in said["names"]:
+    for name in stored["names"]:
         if not name or name in NOT_READINGS:
             raise FileError(
                 path, f"{name!r:.60} is not the name of a sensor", field="sensors.names"
             )
     try:
-        return Sensors(tuple(said["names"]), cell=float(said["cell"]), **_part(loaded, "sensors."))
+        return Sensors(
+            tuple(stored["names"]), cell=float(stored["cell"]), **_part(loaded, "sensors.")
+        )
     except ValueError as error:
         weights = path.with_name("weights.safetensors")
         raise FileError(weights, str(error), field="sensors") from None
 
 
-def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[np.uint8]) -> Domain:
+def _domain(
+    path: Path, stored: Any, inputs: list[dict[str, Any]], seen: NDArray[np.uint8]
+) -> Domain:
     names = tuple(i["name"] for i in inputs if not i["name"].startswith("prev_"))
     try:
         if seen.dtype != np.uint8 or (seen > 1).any():
             raise ValueError("domain.seen is of zeros and ones, uint8")
-        ranges, rows = said["commands"], said["rows"]
+        ranges, rows = stored["commands"], stored["rows"]
         if tuple(ranges) != names:
             raise ValueError(f"expected commands ({', '.join(names)})")
         ends = np.array([ranges[name] for name in names], np.float64).reshape(len(names), 2)
-        return Domain(names, ends[:, 0], ends[:, 1], rows, float(said["reach"]), seen)
+        return Domain(names, ends[:, 0], ends[:, 1], rows, float(stored["reach"]), seen)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(
             path, f"is not a domain of these commands ({error})", field="domain"

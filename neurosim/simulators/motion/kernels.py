@@ -1,9 +1,9 @@
 """The motion network, compiled: steps of robots that obey the same commands.
 
 They compute what :class:`MotionNetwork`, :class:`neurosim.simulators.motion.drive.DriveModel` and
-:func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. What follows from the
-command alone, the prediction of each ensemble member and the size of its noise, is computed once
-for all robots.
+:func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. The part that follows
+from the command alone, the prediction of each ensemble member and the size of its noise, is
+computed once for all robots.
 """
 
 from __future__ import annotations
@@ -169,11 +169,11 @@ def step(a, states, command, z, work):
         if noisy:
             t, f, s, w = z[r, 0], z[r, 1], z[r, 2], z[r, 3]
             if a.drives:
-                drawn = own[behind + 3 : behind + 3 + DRAWS]
+                normal = own[behind + 3 : behind + 3 + DRAWS]
                 if same:
-                    t, f, s, w = drawn[0], drawn[1], drawn[2], drawn[3]
+                    t, f, s, w = normal[0], normal[1], normal[2], normal[3]
                 else:
-                    drawn[0], drawn[1], drawn[2], drawn[3] = t, f, s, w
+                    normal[0], normal[1], normal[2], normal[3] = t, f, s, w
             dx, dy, turn = shake(dx, dy, turn, size, t, f, s, w)
         elif a.drives and not same:
             own[behind + 3 : behind + 3 + DRAWS] = 0.0
@@ -271,7 +271,7 @@ def _law(a, c, before, goal, push, law):
 
 @kernel(forceinline=True)
 def _follow(law, time):
-    """Return what is left of the difference after a time (s), and its integral until then."""
+    """Return the rest of the difference after a time (s), and its integral until then."""
     if law[0] == 0.0 and law[9] == 0.0:
         return 0.0, 0.0
     sign, until = law[1], law[2]
@@ -292,7 +292,7 @@ def _follow(law, time):
 
 @kernel(forceinline=True)
 def _fallen(size, lag, rate, ramp, time):
-    """Return what is left of a difference after a time (s), and its integral until then."""
+    """Return the rest of a difference after a time (s), and its integral until then."""
     on_ramp = min(time, ramp)
     left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
     if time > ramp:
@@ -375,10 +375,10 @@ def _queue(a, commanded, lasted, queue):
     join = max(lasted, acts - last) < short and last > 0.0
     if join or (queue[1] if slots > 1 else acts) > 0.0:
         waited = max(acts - max(last, 0.0), 0.0)
-        share = waited / max(waited + lasted, 1e-9)
+        fraction = waited / max(waited + lasted, 1e-9)
         for c in range(count):
             place = slots + (slots - 1) * count + c
-            queue[place] = share * queue[place] + (1.0 - share) * _speed(a, commanded[c], c)
+            queue[place] = fraction * queue[place] + (1.0 - fraction) * _speed(a, commanded[c], c)
         return
     for n in range(slots - 1):
         queue[n] = queue[n + 1]
@@ -534,7 +534,7 @@ def _predict(a, x, network, pattern, log2, units, nearness, moved, mean):
             total += _dot(a.kernel_weights[row], nearness)
         mean[o] = total
     if a.drives:
-        share, c = x[a.duration], a.correction
+        duration, c = x[a.duration], a.correction
         dx, dy, turn = mean[0], mean[1], mean[2]
         dx, turn = c[0] * dx + c[3] * turn, c[2] * dx + c[1] * turn
         twist, at = moved[0], moved[1]
@@ -542,9 +542,9 @@ def _predict(a, x, network, pattern, log2, units, nearness, moved, mean):
             at[0],
             at[1],
             at[2],
-            twist[0] + share * dx,
-            twist[1] + share * dy,
-            twist[2] + share * turn,
+            twist[0] + duration * dx,
+            twist[1] + duration * dy,
+            twist[2] + duration * turn,
         )
 
 
@@ -553,7 +553,7 @@ def _exp2(z):
     """Return 2 to the power of z, |z| < 1000, to about 1e-12 relative.
 
     Plain arithmetic, which the compiler turns into vector instructions: Taylor's series of
-    exp(f ln 2) for what is left beside the nearest whole number, whose bits go into the exponent.
+    exp(f ln 2) for the remainder from the nearest whole number, whose bits go into the exponent.
     """
     shifted = z + _ROUND
     f = z - (shifted - _ROUND)

@@ -41,7 +41,7 @@ from neurosim.simulators.motion.sensors import Sensors, no_sensors
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
-#: A command goes on until it has lasted for the longest one's time, give or take this share.
+#: A command goes on until it has lasted for the longest one's time, give or take this fraction.
 HELD = 0.05
 
 #: Commands after which what an actuator had not reached is forgotten; more of them if they are
@@ -71,7 +71,7 @@ class _State(NamedTuple):
 
 
 def _flat(under: Underway) -> dict[str, Tensor]:
-    """Return what is under way where a command begins as the parts of a state."""
+    """Return the actuators' state at the beginning of a command, as parts of a state."""
     names = ("began_speed", "began_push", "goals", "acts")
     return dict(zip(names, (*under[:2], under.goals.flatten(1), under.acts), strict=True))
 
@@ -99,7 +99,7 @@ class MotionNetwork(Simulator):
         derived: the input of the networks that follows from the others and stands after them.
         drive: the drive model from which the robot departs; with it a command may be cut into
             steps of any length. Without, a step is a whole command.
-        kernel_units: units beside the networks' own, or None.
+        kernel_units: units in addition to the networks' own, or None.
         known: the commands that it has learned from; None: but the largest are not known.
         correction: of drive model and networks, all members alike, where another floor or robot
             is to be simulated than was learned from.
@@ -269,7 +269,7 @@ class MotionNetwork(Simulator):
 
     @property
     def slack(self) -> float:  # type: ignore[override]
-        """By which share of its width a range may be left."""
+        """By which fraction of its width a range may be left."""
         return super().slack if self.known is None else self.known.slack
 
     @property
@@ -308,7 +308,7 @@ class MotionNetwork(Simulator):
         return self.start(pose, member=member)
 
     def over(self, state: Tensor) -> Tensor:
-        """Return states [B, S] in which the last command is over: given again, it begins anew."""
+        """Return states [B, S] in which the last command is over: given again, it begins again."""
         if self.drive is None:
             return state
         parts = self._parts(state)
@@ -415,12 +415,12 @@ class MotionNetwork(Simulator):
         return _State(*state.split([*sizes, int(self.members > 1)], dim=1))
 
     def _underway(self, parts: _State) -> Underway:
-        """Return what was under way where the last command began."""
+        """Return the actuators' state where the last command began."""
         goals = parts.goals.unflatten(1, (parts.acts.shape[1], len(self.columns.driven)))
         return Underway(parts.began_speed, parts.began_push, goals, parts.acts)
 
     def _after(self, drive: DriveModel, parts: _State) -> Underway:
-        """Return what is under way where the last command ends; in a robot that stands, all 0."""
+        """Return the actuators' state where the last command ends; 0 for a robot that stands."""
         under, time = self._underway(parts), parts.elapsed.squeeze(1)
         after = drive.after(under, self._speeds(parts.commanded), time, (parts.speed, parts.push))
         # After a command that was over already nothing is added.
@@ -482,8 +482,8 @@ class MotionNetwork(Simulator):
     def chained(self, inputs: Tensor) -> Tensor:
         """Return scaled inputs of commands [B, I], in the dataset's units, in the order of time.
 
-        What an actuator has not reached at the end of a command, it has not at the beginning of
-        the next. With a drive model there are columns more, see :func:`chain`.
+        The speed that an actuator has at the end of a command is its speed at the beginning of the
+        next. With a drive model there are columns more, see :func:`chain`.
         """
         x = self.scaled(inputs)
         if self.drive is None:
@@ -491,7 +491,7 @@ class MotionNetwork(Simulator):
         return chain(self.drive, self.columns, x, follows(self.input_names, inputs), self.longest)
 
     def outputs(self, inputs: Tensor) -> Tensor:
-        """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
+        """Return the outputs [B, M, O] (SI units) of every member for ``inputs`` [B, I]."""
         given = self.derived.append(self.columns, self.scaled(inputs))
         units = None if self.kernel_units is None else self.kernel_units.units(given)
         return self._outputs_of(given, units)[:, int(self.central) :]
@@ -513,14 +513,14 @@ class MotionNetwork(Simulator):
         """
         if self.drive is None:
             return outputs
-        columns, share = self.columns, x[:, self.columns.duration]
+        columns, duration = self.columns, x[:, self.columns.duration]
         under = rows_underway(self.drive, columns, x) if under is None else under
         assert self._corrected is not None
-        time = share * self.longest
+        time = duration * self.longest
         changing, twist = self._corrected.phases(under, x[:, list(columns.driven)], time)
         if self.correction != Correction():
             outputs = self.correction.of_twists(outputs)
-        return se2.compose(changing, se2.exp(twist + share.unsqueeze(1) * outputs))
+        return se2.compose(changing, se2.exp(twist + duration.unsqueeze(1) * outputs))
 
     def disturbed(self, x: Tensor, mean: Tensor, z: Tensor) -> Tensor:
         """Return displacements [B, 3] with noise of the draws ``z`` [B, DRAWS].
@@ -596,7 +596,7 @@ class MotionNetwork(Simulator):
         return _in(dtype, self)
 
     def compiled(self) -> MotionModel:
-        """Return what the compiled functions take."""
+        """Return the arguments of the compiled functions."""
         return self._model
 
     @cached_property
@@ -760,7 +760,7 @@ def chain(
 
 
 def rows_underway(drive: DriveModel, columns: CommandFeatures, x: Tensor) -> Underway:
-    """Return what is under way where rows of scaled inputs [B, I] or of :func:`chain` begin."""
+    """Return the actuators' state where rows of scaled inputs [B, I] or of :func:`chain` begin."""
     speed, count = x[:, list(columns.before)], len(columns.driven)
     inputs = max(*columns.driven, *columns.before, columns.duration) + 1
     return drive.begun(speed, x[:, inputs:] if x.shape[1] == inputs + count else None)

@@ -1,4 +1,4 @@
-r"""What a motion network cannot foresee: noise on displacements, correlated and of varying size.
+r"""Noise of a motion network: noise on displacements, correlated and of varying size.
 
 The noise stands in the mid-turn frame (see :mod:`neurosim.base.se2`). With the mean displacement
 :math:`(\bar p, \bar\theta)` and noise of turn, forward and sideways :math:`(e_t, e_f, e_s)`,
@@ -22,7 +22,7 @@ Noise on the chord itself would be too large on curves or too small on straight 
 plans are made: a wheel that slips on a curve lengthens the arc and bends it, and the one takes
 back in the chord what the other adds.
 
-What else there is has heavy tails, as if its scale itself were uncertain (Clark 1973, Econometrica
+The rest has heavy tails, as if its scale itself were uncertain (Clark 1973, Econometrica
 41): g is standard normal, the same for all three, and ln s and :math:`\ln \tau` are linear in
 features of the command (how sudden, how long, how fast the motors ran before it: where they stood,
 the motion before that, which no input tells, has left the caster in some direction; tau also how
@@ -60,7 +60,7 @@ TAIL_FEATURES = ("one", "travel", "turn")
 #: How many sources of what happens in the course of the motion there are.
 SOURCES = 3
 
-#: A chord is taken for this share of its arc at least, where the arc is nearly a full circle.
+#: A chord is taken for this fraction of its arc at least, where the arc is nearly a full circle.
 LEAST_CHORD = 0.1
 
 
@@ -145,7 +145,7 @@ class CommandFeatures:
 def features(
     unit: Tensor, columns: CommandFeatures, inputs: Tensor, mean: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return what the noise's size and tails depend on, but for the motion itself.
+    """Return the inputs of the noise's size and tails, except the motion itself.
 
     Args:
         unit: of the noise model, [3].

@@ -1,7 +1,7 @@
 """Sensors of a motion network: what they read follows from where on the board they are.
 
 Each sensor is mounted somewhere on the robot, and reads what a map of the board has there, linear
-between the points of a grid. Sensors of the same make share a map. Noise has two parts, whose
+between the points of a grid. Sensors of the same make fraction a map. Noise has two parts, whose
 variances add up: of the reading itself, and of the place, by the map's slope there.
 """
 

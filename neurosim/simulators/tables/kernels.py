@@ -34,7 +34,7 @@ PASSES = 8
 SLACK = 1e-4
 #: What is nearer to the rim is seen as if it were so near, m.
 NEAREST = 1e-4
-#: The share of an endless wall's light that counts as none.
+#: The fraction of an endless wall's light that counts as none.
 FAINT = 1e-6
 
 
@@ -138,7 +138,7 @@ def _hidden(screens, x, y, dx, dy):
 
 @kernel(forceinline=True)
 def _column(angles, angle):
-    """Return the place of the table's column at an angle (rad) to the robot's left, and a share."""
+    """Return the table's column at an angle (rad) to the robot's left, and a remainder."""
     # Samples are in the order in which the robot turned to the left: objects pass to the right.
     turn = -angle / (2.0 * math.pi)
     column = (turn - math.floor(turn)) * angles
@@ -334,7 +334,7 @@ def _rounded(t, speed):
 
 @kernel(fastmath=_FAST, forceinline=True)
 def _level(t, speed, levels):
-    """Return place and share of the level below a speed in percent."""
+    """Return place and fraction of the level below a speed in percent."""
     place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
     below = min(int(place), levels - 2)
     return below, place - below

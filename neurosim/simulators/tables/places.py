@@ -44,7 +44,7 @@ def random_arena(
         inner: most walls that stand inside.
 
     Raises:
-        UserError: if the radius is none.
+        UserError: if the radius is out of range.
     """
     if not 0.001 <= radius <= 10:
         raise UserError(f"a robot's radius lies from 1 mm to 10 m, not {radius:g} m")

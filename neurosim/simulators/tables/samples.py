@@ -111,8 +111,8 @@ def as_evorobotpy2(samples: Samples, *, cylinder: bool) -> Samples:
         count = len(rows)
         places = np.arange(count) + 2.0 * samples.first_distance / samples.distance_step
         below = np.minimum(places.astype(int), count - 1)
-        above, share = np.minimum(below + 1, count - 1), (places % 1.0)[:, None, None]
-        rows = (1.0 - share) * rows[below] + share * rows[above]
+        above, fraction = np.minimum(below + 1, count - 1), (places % 1.0)[:, None, None]
+        rows = (1.0 - fraction) * rows[below] + fraction * rows[above]
     return replace(samples, activations=rows)
 
 

@@ -56,7 +56,7 @@ NOISES = ("none", "uniform", "samples")
 RADIUS = 0.0275
 #: Readings above ambient that count as none: half a percent of the range.
 FAINTEST = 0.005
-#: Duration of a step of which uniform noise is a share of the range, s.
+#: Duration of a step of which uniform noise is a fraction of the range, s.
 STEP = 0.1
 
 
@@ -71,7 +71,7 @@ class TableSimulator(Simulator):
         radius: of the robot, m.
         reaction: how late the robot answers a command.
         noise: one of :data:`NOISES`, drawn only where a generator is given.
-        noise_level: half width of uniform noise: a share of 1 for every sensor, and of the
+        noise_level: half width of uniform noise: a fraction of 1 for every sensor, and of the
             largest displacement in 100 ms forward, sideways and in heading. Over other durations
             a displacement's noise grows with the square root.
         meta: what else simulator.json says.
@@ -319,8 +319,8 @@ class TableSimulator(Simulator):
         walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
         centre = state[:, None, :2]
         off = centre - walls[:, :2]
-        share = torch.minimum((off * walls[:, 2:4]).sum(-1).clamp(min=0.0), walls[:, 4])
-        to_walls = walls[:, :2] + share.unsqueeze(-1) * walls[:, 2:4] - centre
+        fraction = torch.minimum((off * walls[:, 2:4]).sum(-1).clamp(min=0.0), walls[:, 4])
+        to_walls = walls[:, :2] + fraction.unsqueeze(-1) * walls[:, 2:4] - centre
         to = torch.cat([to_walls, obstacles[:, :2] - centre], dim=1)
         size = torch.cat([torch.zeros_like(walls[:, 0]), obstacles[:, 2]])
         kind = torch.tensor([0] * len(walls) + [1] * len(obstacles), device=to.device)

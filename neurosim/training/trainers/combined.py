@@ -61,7 +61,7 @@ OF_HALVES = 0.88
 SCARCE = 50
 #: Steps of the fractions that the Gaussian process is tried with.
 _FRACTIONS = 10
-#: Where a chord is shorter than this share of its arc, where the arc led says nothing of its speed.
+#: If a chord is shorter than this fraction of its arc, its end tells nothing about the speed.
 _LEAST = 1e-3
 #: How far from a reversal, in half turns, what swings round may begin to do so the other way.
 SWINGS = (-0.03, 0.03)
@@ -125,7 +125,7 @@ class CombinedSettings(Checked):
 
 
 class Residuals(NamedTuple):
-    """What the drive model leaves of rows.
+    """The residuals of the drive model.
 
     Attributes:
         x: scaled inputs, [N, I].
@@ -309,8 +309,8 @@ class CombinedTrainer:
         self._best = best
         #: Weights of the units, learned from all rows, [3, K].
         self._mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
-        said = best.fractions[:, None] * (self._mean @ best.units.T)
-        return (rows.left - rows.factor * said.T)[: len(self._data.x)].square().mean(0)
+        outputs = best.fractions[:, None] * (self._mean @ best.units.T)
+        return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
 
     @property
     def _swings(self) -> bool:
@@ -333,19 +333,19 @@ class CombinedTrainer:
         for places in (self._columns.driven, self._columns.before):
             size = torch.maximum(low.abs(), high.abs())[list(places)]
             low[list(places)], high[list(places)] = -size, size
-        drawn = torch.rand(_RANDOM, x.shape[1], generator=generator, dtype=x.dtype).to(x)
-        return low + (high - low) * drawn
+        uniform = torch.rand(_RANDOM, x.shape[1], generator=generator, dtype=x.dtype).to(x)
+        return low + (high - low) * uniform
 
     def _judged(self, process: Process) -> _Judged:
         """Return a process with what half of the rows say of the other half by it."""
         rows, units = self._rows, process.units(self._rows.given)
-        said = torch.zeros(2, OUTPUTS, len(units), dtype=torch.float64)
+        outputs = torch.zeros(2, OUTPUTS, len(units), dtype=torch.float64)
         for number, seen in enumerate((self._half, ~self._half)):
             for o in range(OUTPUTS):
                 trust = self._trust[:, o] * seen
                 weights, _ = process.posterior(units, rows.factor[:, o], rows.left[:, o], trust, o)
-                said[number, o] = units @ weights
-        unseen = torch.where(self._half, said[1], said[0])
+                outputs[number, o] = units @ weights
+        unseen = torch.where(self._half, outputs[1], outputs[0])
         return _Judged(process, units, unseen, *self._stacked(unseen))
 
     def _read_out(self, output: int, weight: Tensor | float = 1.0, off: Tensor | float = 0.0):
@@ -368,15 +368,15 @@ class CombinedTrainer:
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
-    def _of_other_half(self, said: Tensor) -> Tensor:
+    def _of_other_half(self, outputs: Tensor) -> Tensor:
         """Return displacements [N, 3] of whole rows by drive models of the half they are not in.
 
         Args:
-            said: outputs of the process [N, 3] that has not seen the rows either.
+            outputs: outputs of the process [N, 3] that has not seen the rows either.
         """
-        half, means = self._half[: len(said)], []
-        seen = torch.stack([~half, half]).to(said)
-        if len(said) > SCARCE:
+        half, means = self._half[: len(outputs)], []
+        seen = torch.stack([~half, half]).to(outputs)
+        if len(outputs) > SCARCE:
             fits = fit_again(self._fit, seen)
         else:
             each = map(self._motion.weighted, seen)
@@ -384,7 +384,7 @@ class CombinedTrainer:
         for fit in fits:
             x, under = self._inputs(fit)
             changing, twist = self._phases(fit.drive, x, under)
-            twist = twist + x[:, self._columns.duration, None] * said
+            twist = twist + x[:, self._columns.duration, None] * outputs
             means.append(se2.compose(changing, se2.exp(twist)))
         return torch.where(half[:, None], *means)
 
@@ -408,13 +408,13 @@ class CombinedTrainer:
         return fractions, float(losses.log().mean())
 
     def _composed(
-        self, said: Tensor, left: Tensor, factor: Tensor, windows: Windows
+        self, outputs: Tensor, left: Tensor, factor: Tensor, windows: Windows
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return an output in windows of whole rows, as it is in rows: arguments of _fraction.
 
-        What a row adds to the turn of a window, and nearly to its way, is what it adds to its own.
+        A row adds as much to the turn of a window, and nearly to its path, as to its own.
         """
-        both = torch.stack([factor * said, left])[:, : len(self._data.x)]
+        both = torch.stack([factor * outputs, left])[:, : len(self._data.x)]
         until = torch.cat([torch.zeros_like(both[:, :1]), both.cumsum(1)], 1)
         both = until[:, windows.end] - until[:, windows.first]
         trust = windows.weight.clone()
@@ -514,8 +514,8 @@ class CombinedTrainer:
             block = ((time.cumsum(0) - time) / LENGTHS[-1]).long()
             block = block.unique(return_inverse=True)[1]
         blocks = int(block[-1]) + 1
-        drawn = torch.rand(members, blocks, generator=generator, dtype=torch.float64)
-        weights = -torch.log1p(-drawn)
+        uniform = torch.rand(members, blocks, generator=generator, dtype=torch.float64)
+        weights = -torch.log1p(-uniform)
         return (weights / weights.mean(1, keepdim=True))[:, block].to(self._rows.x)
 
     def _changes(self, random: Tensor, generator: torch.Generator) -> Tensor:
@@ -532,13 +532,13 @@ class CombinedTrainer:
         raw = given.clone()
         places = list(columns.driven)
         given[:, places] = self._drive.shaped(raw[:, places])
-        share = given[:, columns.duration].clamp(min=_SHORTEST / self._longest)
-        given[:, columns.duration] = share
+        scaled = given[:, columns.duration].clamp(min=_SHORTEST / self._longest)
+        given[:, columns.duration] = scaled
         full = self._derived.append(columns, given)
         features = self._units_of(full, self._best.process.units(full))
         if "drive_members" in self._settings.without:
             return torch.zeros(len(random), OUTPUTS, features.shape[1], dtype=torch.float64)
-        time = share * self._longest
+        time = scaled * self._longest
 
         def phases(drive: DriveModel) -> tuple[Tensor, Tensor]:
             under = rows_underway(drive, columns, given)
@@ -548,7 +548,7 @@ class CombinedTrainer:
         for fit in fit_again(self._fit, random):
             changing, twist = phases(fit.drive)
             there = se2.compose(changing, se2.exp(twist))
-            left, factor = _left(*mean, share, there)
+            left, factor = _left(*mean, scaled, there)
             change = []
             for o in range(OUTPUTS):
                 design = features * factor[:, o, None]
@@ -564,7 +564,7 @@ class CombinedTrainer:
         return torch.cat([torch.ones_like(given[:, :1]), given, units], 1)
 
     def _composition(self) -> dict[str, Any]:
-        """Return what the simulator is made of, for people."""
+        """Return the parts of the simulator in words."""
         drive, names = self._drive, [entry["name"] for entry in self._data.inputs]
         driven = [names[place] for place in self._columns.driven]
         # Of two commands each way: a static curve need not be steady.
@@ -607,12 +607,12 @@ class _Judged(NamedTuple):
     loss: float
 
 
-def _left(changing: Tensor, twist: Tensor, share: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what a drive model leaves of displacements, and the factor of the outputs in it.
+def _left(changing: Tensor, twist: Tensor, duration: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a drive model's residuals of displacements, and the factor of the outputs in them.
 
     Args:
         changing, twist: of :meth:`DriveModel.phases`, [N, 3].
-        share: scaled durations, [N].
+        duration: scaled durations, [N].
         y: displacements, [N, 3].
 
     Returns:
@@ -623,11 +623,11 @@ def _left(changing: Tensor, twist: Tensor, share: Tensor, y: Tensor) -> tuple[Te
     chord = torch.where(chord.abs() < _LEAST, 0.0, chord)
     length = torch.stack([chord, chord, torch.ones_like(chord)], dim=1)
     left = torch.where(length == 0.0, 0.0, moved - length * twist)
-    return left, length * share.unsqueeze(1)
+    return left, length * duration.unsqueeze(1)
 
 
 def _fraction(
-    said: Tensor,
+    outputs: Tensor,
     left: Tensor,
     factor: Tensor,
     trust: Tensor,
@@ -637,7 +637,7 @@ def _fraction(
     """Return how much a process counts, 0..1, and the loss.
 
     Args:
-        said: by read-outs that had not seen the row, [N].
+        outputs: outputs of read-outs that had not seen the row, [N].
         left, factor: targets of the output and its factor in them, [N].
         trust: how much rows count, [N].
         allowed: whether it may count.
@@ -650,7 +650,7 @@ def _fraction(
     without = torch.zeros(0)
     for step in range(_FRACTIONS + 1 if allowed else 1):
         fraction = step / _FRACTIONS
-        error = ((left - factor * fraction * said) * root).abs()
+        error = ((left - factor * fraction * outputs) * root).abs()
         # Huber's loss: rows that nobody foresees do not decide.
         loss = torch.where(error < corner, error.square(), corner * (2 * error - corner))
         # Nothing at all is preferred to what is not better.

@@ -2,10 +2,11 @@
 
 Given the actuators' laws, the displacement is linear in the kinematics: first the turn, then, the
 turn taken as measured, the translation. The laws themselves are a few numbers for each actuator,
-searched for by the method of Levenberg (1944) and Marquardt (1963), with the kinematics fitted anew
-at each step (Golub and Pereyra 1973). Errors are taken to be distributed as Student's t (Lange,
-Little and Taylor 1989), because a drive model leaves large ones. What rows say little about keeps
-to what is usual: a weak prior on every law, and on the products in the kinematics.
+searched for by the method of Levenberg (1944) and Marquardt (1963), with the kinematics fitted
+again at each step (Golub and Pereyra 1973). Errors are taken to be distributed as Student's t
+(Lange, Little and Taylor 1989), because a drive model leaves large ones. Parameters that rows
+hardly determine keep to usual values: a weak prior on every law, and on the products in the
+kinematics.
 
 Laws are compared many at a time: P of them are a tensor [P, L, C], and leave errors [P, N]. How
 far they come is computed by the compiled functions that simulators step with.
@@ -61,7 +62,7 @@ _TOGETHER = 32
 _BELIEVED = 3.0
 #: Losses in curves must raise it by this times what a delay must.
 _LOST = 1.5
-#: Derivatives are differences over this share of each prior's width; no step is longer than this.
+#: Derivatives are differences over this fraction of a prior's width; steps are at most this long.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: How much steps are damped, at first, at least and at most, and by which factors that changes.
 _DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
@@ -82,7 +83,7 @@ _LOWEST = (
     0.0,
 )
 _HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
-#: Products count, before rows say more, for no more than this share of what is to be explained.
+#: Products count, before rows say more, for no more than this fraction of what is to be explained.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
 FREEDOM, _HUBER = 2.0, 1.345
@@ -123,7 +124,7 @@ class Actuators(NamedTuple):
         return cls(np.arange(count), np.ones(count), *(part.contiguous().numpy() for part in parts))
 
     def turning(self, given: Tensor | None) -> NDArray:
-        """Return what stands for the rate of turn, [C], zeros if it is not given."""
+        """Return the actuators' combination for the rate of turn, [C]; zeros by default."""
         return np.zeros(len(self.driven)) if given is None else given.numpy()
 
     def one(self, number: int) -> Actuators:
@@ -148,7 +149,7 @@ def _distances(a, turning, before, commanded, time, follows, row, until, feature
         within: [_PIECES, K, L], zeros, written: of the commands until these instants.
     """
     count = commanded.shape[1]
-    law, way = np.empty((count, _LAW)), np.empty(count)
+    law, distance = np.empty((count, _LAW)), np.empty(count)
     begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
     k = 0
     for i in range(len(commanded)):
@@ -156,13 +157,13 @@ def _distances(a, turning, before, commanded, time, follows, row, until, feature
             goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, commanded[i, c], c)
             begins[c] = reached[c] if follows[i] else goals[0, c]
         while k < len(row) and row[k] == i:
-            _cut(a, turning, begins, goals, until[k], law, way, reached, within[:, :, k])
+            _cut(a, turning, begins, goals, until[k], law, distance, reached, within[:, :, k])
             k += 1
-        _cut(a, turning, begins, goals, time[i], law, way, reached, features[:, :, i])
+        _cut(a, turning, begins, goals, time[i], law, distance, reached, features[:, :, i])
 
 
 @njit(error_model="numpy", cache=True)
-def _cut(a, turning, begins, goals, time, law, way, reached, features):
+def _cut(a, turning, begins, goals, time, law, distance, reached, features):
     """Cut a command into pieces of constant twist.
 
     Args:
@@ -172,7 +173,7 @@ def _cut(a, turning, begins, goals, time, law, way, reached, features):
         goals: that act until the delay has passed, and then, [2, C].
         time: that it lasts, s.
         law: [C, _LAW] scratch.
-        way: [C] scratch.
+        distance: [C] scratch.
         reached: [2 C], written: speeds and pushes at the end.
         features: [_PIECES, K], written, see :func:`motion_features`.
     """
@@ -188,7 +189,7 @@ def _cut(a, turning, begins, goals, time, law, way, reached, features):
         for c in range(count):
             _law(a, c, reached[c], goals[own, c], reached[count + c], law[c])
             settling = max(settling, law[c, 11])
-            way[c] = 0.0
+            distance[c] = 0.0
         changing = min(span, settling) if own else span
         pieces = PHASES if own or span > LONG_WAIT else 1
         first = PHASES if own else PHASES - pieces
@@ -198,7 +199,7 @@ def _cut(a, turning, begins, goals, time, law, way, reached, features):
             for c in range(count):
                 left, missed = _follow(law[c], end)
                 gone = goals[own, c] * end - missed
-                features[first + k, c], way[c] = gone - way[c], gone
+                features[first + k, c], distance[c] = gone - distance[c], gone
                 if end == span:
                     reached[c], reached[count + c] = _come(law[c], span, left)
             products_and_losses(turning, end - last, count, features[first + k])
@@ -270,7 +271,7 @@ class Motion:
 
     @property
     def commanded(self) -> Tensor:
-        """What commands ask for, scaled, [N, C]."""
+        """The goals of commands, scaled, [N, C]."""
         return self.x[:, list(self.columns.driven)]
 
     def inputs(self, fit: Fit) -> Tensor:
@@ -281,7 +282,7 @@ class Motion:
         return chain(fit.drive, self.columns, x, self.follows, self.longest)
 
     def distances(self, actuators: Actuators) -> tuple[Tensor, Tensor]:
-        """Return what the twists of pieces of each model's commands are linear in.
+        """Return the features of the twists of pieces of each model's commands.
 
         Of whole rows, [P, pieces, K, N], and until the poses within them, [P, pieces, K, L].
         """
@@ -329,7 +330,7 @@ class Errors(NamedTuple):
 
 
 class Rows(Protocol):
-    """What a drive model is fitted to.
+    """The data to which a drive model is fitted.
 
     Attributes:
         columns: of the inputs.
@@ -355,7 +356,7 @@ class Rows(Protocol):
 
     @property
     def commanded(self) -> Tensor:
-        """What commands ask for, scaled, [N, C]."""
+        """The goals of commands, scaled, [N, C]."""
         ...
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
@@ -441,7 +442,7 @@ def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
 
 
 def _turning(rows: Rows, laws: Tensor, band: Tensor | None) -> Tensor | None:
-    """Return what stands for the rate of turn [C] if rows show that speeds are lost by it."""
+    """Return the actuators' combination for the rate of turn [C], if it costs speed."""
     count = laws.shape[1]
     band = torch.zeros(count, dtype=torch.float64) if band is None else band
     actuators = Actuators.of(laws[None], band)
@@ -468,9 +469,9 @@ def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
     can be judged while the other is thought to move; then each for itself.
     """
     commanded, band = rows.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
-    ways = (commanded.amin(0) < 0.0) & (commanded.amax(0) > 0.0)
-    each = [torch.arange(len(band)) == c for c in torch.nonzero(ways).flatten()]
-    for group in (ways, *each * 2) if len(each) > 1 else each:
+    reverses = (commanded.amin(0) < 0.0) & (commanded.amax(0) > 0.0)
+    each = [torch.arange(len(band)) == c for c in torch.nonzero(reverses).flatten()]
+    for group in (reverses, *each * 2) if len(each) > 1 else each:
         given = commanded[:, group].abs().unique()
         given = given[(given > 0.0) & (given <= _WIDEST)]
         costs: dict[float, float] = {}
@@ -595,11 +596,11 @@ def _refined(
         # Weights of iteratively reweighted least squares for Student's t.
         weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         here, low, high = laws[varied], lowest[varied], highest[varied]
-        share = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
-        moved = laws.repeat(len(share), 1, 1)
-        moved[:, varied] += torch.diag(share * unit)
+        signed_step = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+        moved = laws.repeat(len(signed_step), 1, 1)
+        moved[:, varied] += torch.diag(signed_step * unit)
         changes = torch.cat([one.error for one in errors(moved)], 1) - error
-        slope = (changes / size / share.unsqueeze(1)).T  # by each law in units of its prior
+        slope = (changes / size / signed_step.unsqueeze(1)).T  # by each law in units of its prior
         off, counts = _off(laws)
         gradient = slope.T @ (weight * error / size) + off[varied]
         curvature = slope.T @ (weight.unsqueeze(1) * slope) + torch.diag(counts[varied])
@@ -693,12 +694,12 @@ def _regression(
         product: which of them are not of speeds alone, [F].
         weight: what each row counts, [N].
     """
-    shares, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
+    row_weights, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
     # By a product alone a target would be of the size that it has, or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
     for step in range(REGRESSIONS):
-        weighed = features * shares.unsqueeze(1)
+        weighed = features * row_weights.unsqueeze(1)
         square = weighed @ features.mT
         diagonal = square.diagonal(dim1=1, dim2=2)
         diagonal.add_(pull + 1e-9 * diagonal.mean(1, keepdim=True).clamp(min=1e-12))
@@ -708,6 +709,6 @@ def _regression(
         size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-9)
         if step == REGRESSIONS - 1:
             break
-        shares = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
+        row_weights = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()
     return weights, Errors(error, size, weight)

@@ -25,13 +25,13 @@ _LEAST = -3.0
 _MOST = 7.0
 #: Added to the diagonal of a covariance.
 _JITTER = 1e-7
-#: A row is told by the others when less than this share of its variance is left.
-_TOLD = 1e-6
+#: A row is told by the others when less than this fraction of its variance is left.
+_RELATIVE = 1e-6
 
 
 @dataclass(frozen=True)
 class Process:
-    """What a Gaussian process of F functions of J inputs has learned.
+    """A learned Gaussian process of F functions of J inputs.
 
     Attributes:
         centres: [K, J].
@@ -208,7 +208,7 @@ def _pivots(x: Tensor, lengths: Tensor, count: int, given: int = 0) -> Tensor:
     chosen = []
     for place in range(factor.shape[1]):
         row = place if place < given else int(left.argmax())
-        if left[row] < _TOLD:
+        if left[row] < _RELATIVE:
             if place < given:
                 continue
             break

@@ -36,12 +36,12 @@ from neurosim.training.trainers.drive_fit import (
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
 #: Pieces of constant twist last no longer, s.
 PIECE = 0.1
-#: Products of speeds, before rows say more, count for this share of what is to be explained. Larger
-#: than where commands are held: in a log of a car, speed and steering change together.
+#: Products of speeds, before rows say more, explain this fraction of the motion. Larger than where
+#: commands are held: in a log of a car, speed and steering change together.
 _PRODUCTS = 0.2
 #: Rows that the laws are searched with: so many for each that stands for itself.
 _SHORTER = 5
-#: A robot that moves by less than this share of the most stands.
+#: A robot that moves by less than this fraction of the most stands.
 _STANDS = 1e-3
 
 
@@ -151,7 +151,7 @@ def _driven(a, turning, commanded, before, time, joined, features, lasts, row, s
         How many pieces there are.
     """
     count, delay = commanded.shape[1], a.delay[0]
-    speed, push, way = np.zeros(count), np.zeros(count), np.zeros(count)
+    speed, push, distance = np.zeros(count), np.zeros(count), np.zeros(count)
     law, goals, earlier = np.zeros(_LAW), np.zeros(commanded.shape), np.zeros(count)
     made, acting, start, acts = 0, 0, 0.0, 0.0
     for i in range(len(time)):
@@ -176,9 +176,9 @@ def _driven(a, turning, commanded, before, time, joined, features, lasts, row, s
                 goal = goals[acting, c] if acting >= chain else earlier[c]
                 _law(a, c, speed[c], goal, push[c], law)
                 left, missed = _follow(law, span)
-                way[c] = goal * span - missed
+                distance[c] = goal * span - missed
                 speed[c], push[c] = _come(law, span, left)
-                features[made, c] = way[c]
+                features[made, c] = distance[c]
             products_and_losses(turning, span, count, features[made])
             lasts[made], row[made] = span, i
             made += 1
@@ -353,10 +353,10 @@ class Chains:
                 0, row, values
             )
 
-        way, heading = until(by_row(features)), until(self.y[:, 2])
+        distance, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
         product = torch.arange(width) >= self.commanded.shape[1]
-        rate, turns_left = _regression(way[end] - way[first], turn, windows, product)
+        rate, turns_left = _regression(distance[end] - distance[first], turn, windows, product)
         # What the turn of a row was, by the model, less or more what it missed.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -403,9 +403,9 @@ def _regression(
         size[kind] = target[kind].square().mean().sqrt().clamp(min=1e-9)
     power = (features / size).square().mean(1).sqrt().clamp(min=1e-12)
     usual = product * (power / _PRODUCTS).square()
-    shares, pull = torch.ones_like(target), torch.zeros_like(usual)
+    row_weights, pull = torch.ones_like(target), torch.zeros_like(usual)
     for step in range(REGRESSIONS):
-        weighed = features * (windows.weight * shares / size.square())
+        weighed = features * (windows.weight * row_weights / size.square())
         square = weighed @ features.T
         square.diagonal().add_(pull + 1e-9 * square.diagonal().mean().clamp(min=1e-12))
         weights = torch.linalg.solve(square, weighed @ target)
@@ -415,7 +415,7 @@ def _regression(
             size[kind] = (1.4826 * magnitude[kind].median()).clamp(min=1e-9)
         if step == REGRESSIONS - 1:
             break
-        shares = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
+        row_weights = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         pull = usual  # not before the size of errors is known
     left = [Errors(error[kind], size[kind[:1]], windows.weight[kind]) for kind in kinds]
     return weights, left
