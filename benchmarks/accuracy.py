@@ -98,9 +98,9 @@ class _GaussianProcess:
         order = self._rng.permutation(len(x))
         kernel = ConstantKernel(1.0) * RBF(np.ones(x.shape[1])) + WhiteKernel(0.01)
         part = order[:1000]
-        found = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[part], y[part])
+        result = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[part], y[part])
         part = order[:2000]
-        self._model = GaussianProcessRegressor(found.kernel_, optimizer=None, normalize_y=True)
+        self._model = GaussianProcessRegressor(result.kernel_, optimizer=None, normalize_y=True)
         self._model.fit(x[part], y[part])
         return self
 
@@ -120,8 +120,8 @@ def regressor(make: Callable[[int], object], on_residual: bool) -> Learner:
             models = [make(seed).fit(x / scale, column) for column in left.T]
 
         def predict(inputs: np.ndarray) -> np.ndarray:
-            found = np.stack([model.predict(inputs / scale) for model in models], axis=1)
-            return found + ideal.displacement(inputs) if on_residual else found
+            result = np.stack([model.predict(inputs / scale) for model in models], axis=1)
+            return result + ideal.displacement(inputs) if on_residual else result
 
         return predict
 
@@ -129,22 +129,22 @@ def regressor(make: Callable[[int], object], on_residual: bool) -> Learner:
 
 
 def learners(options: argparse.Namespace) -> dict[str, Learner]:
-    found: dict[str, Learner] = {}
+    results: dict[str, Learner] = {}
     for name in options.trainers:
         short = name == "ga"
         label = f"ga, {GA_GENERATIONS} generations" if short else name
-        found[label] = trainer(name, GA_GENERATIONS if short else None)
+        results[label] = trainer(name, GA_GENERATIONS if short else None)
     for part in options.without:
-        found[f"combined without {part}"] = trainer("combined", without=part)
-    found["ideal unicycle"] = lambda rows, seed: unicycle(rows).displacement
+        results[f"combined without {part}"] = trainer("combined", without=part)
+    results["ideal unicycle"] = lambda rows, seed: unicycle(rows).displacement
     if options.regressors:
         try:
             for name, make in regressors().items():
-                found[name] = regressor(make, on_residual=False)
-                found[f"{name} on unicycle"] = regressor(make, on_residual=True)
+                results[name] = regressor(make, on_residual=False)
+                results[f"{name} on unicycle"] = regressor(make, on_residual=True)
         except ImportError as error:
             print(f"regressors are left out: {error}", file=sys.stderr)
-    return found
+    return results
 
 
 def judge(
@@ -202,19 +202,19 @@ def of_medians(drives: Drives, later: Dataset) -> dict[str, object] | None:
     return {"error": error, "rows": len(pairs), "seconds": float("nan")}
 
 
-def line(name: str, found: dict[str, object], floor: list[float] | None) -> str:
-    error = found["error"]
+def line(name: str, result: dict[str, object], floor: list[float] | None) -> str:
+    error = result["error"]
     nothing = [float("nan")] * 3
     ratios = [
         e / f
-        for e in (error, found.get("on_drives", nothing))
+        for e in (error, result.get("on_drives", nothing))
         for e, f in zip(e, floor or nothing, strict=True)
     ]
     return (
         f"{name:30s}"
         + "".join(f"{ratio:8.2f}" for ratio in ratios)
         + "".join(f"{value:9.3f}" for value in error)
-        + f"{found['seconds']:9.1f}"
+        + f"{result['seconds']:9.1f}"
     )
 
 

@@ -78,8 +78,8 @@ class Remembering(Simulated):
         keys = [parameters.tobytes() + one.tobytes() for one in genes]
         new = {key: n for n, key in enumerate(keys) if key not in self._known}
         if new:
-            found = super().fitness(genes[list(new.values())], parameters)
-            self._known.update(zip(new, found.tolist(), strict=True))
+            result = super().fitness(genes[list(new.values())], parameters)
+            self._known.update(zip(new, result.tolist(), strict=True))
         self.tried += len(keys) - len(new)
         return np.array([self._known[key] for key in keys])
 
@@ -104,8 +104,8 @@ class Job:
             about.append({"transfer": works})
             for group in GROUPS:
                 if group in cycle.get("L3", {}):
-                    told = cycle["L3"][group]
-                    about[-1][group] = {when: told[when] for when in ("before", "after")}
+                    commanded = cycle["L3"][group]
+                    about[-1][group] = {when: commanded[when] for when in ("before", "after")}
         return run.record, {"cycles": about, "confirm": how.confirm}
 
     def learn(self, learner: Any, order: Evaluations, count: int) -> Evaluations:
@@ -212,8 +212,8 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
         for count in [at for at in READ_AT if at <= job.budget] or [job.budget]:
             genes = order.believed(about.get("confirm", 1), count).genes
             if genes.tobytes() not in known:
-                found = again.trials(np.tile(genes, (AGAIN, 1)), numbers)
-                known[genes.tobytes()] = [float(found.mean()), float(found.std(ddof=1))]
+                result = again.trials(np.tile(genes, (AGAIN, 1)), numbers)
+                known[genes.tobytes()] = [float(result.mean()), float(result.std(ddof=1))]
             read[str(count)] = known[genes.tobytes()]
         hand = float(again.trials(np.tile(HAND, (AGAIN, 1)), numbers).mean())
     return {
@@ -278,17 +278,17 @@ def adapted(method: str, own: list[dict[str, Any]]) -> str:
     for name, part in (("first cycle", slice(0, 1)), ("later cycles", slice(1, None))):
         cycles = [cycle for row in own for cycle in row["cycles"][part]]
         for group in GROUPS:
-            found = [cycle[group] for cycle in cycles if group in cycle]
-            if not found:
+            result = [cycle[group] for cycle in cycles if group in cycle]
+            if not result:
                 continue
-            text += f"  {method}, {name}, {group} ({len(found)}): "
+            text += f"  {method}, {name}, {group} ({len(result)}): "
             for what, unit in (("norm", 100), ("rms", 100), ("median", 100), ("rank", 1)):
                 both = [
-                    np.median([one[when][what] or 0.0 for one in found]) * unit
+                    np.median([one[when][what] or 0.0 for one in result]) * unit
                     for when in ("before", "after")
                 ]
                 text += f"{what} {both[0]:.2f} to {both[1]:.2f}, "
-            fold = [one["before"]["norm"] / max(one["after"]["norm"], 1e-9) for one in found]
+            fold = [one["before"]["norm"] / max(one["after"]["norm"], 1e-9) for one in result]
             text += f"norm divided by {np.median(fold):.2f}\n"
         works = [cycle["transfer"] for cycle in cycles if cycle["transfer"] is not None]
         if works:

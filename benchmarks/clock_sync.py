@@ -84,18 +84,18 @@ def main() -> None:
     print(
         f"{options.robots} robots, ms{'':14}delay: RMSE   error / sd   --sync motion: RMSE   worst"
     )
-    for case, found in motion.items():
+    for case, value in motion.items():
         print(
-            f"{case:28}{found['delay_rmse_ms']:11.1f}{found['delay_over_sd']:13.2f}"
-            f"{found['motion_rmse_ms']:19.1f}{found['motion_worst_ms']:8.1f}"
-            + (f"   refused: {found['refused']}" if found["refused"] else "")
+            f"{case:28}{value['delay_rmse_ms']:11.1f}{value['delay_over_sd']:13.2f}"
+            f"{value['motion_rmse_ms']:19.1f}{value['motion_worst_ms']:8.1f}"
+            + (f"   refused: {value['refused']}" if value["refused"] else "")
         )
     print("rendered, errors in ms   first flash, last (stated sd)   by motion (stated sd)")
-    for place, found in enumerate(rendered):
-        first, last = found["flash_ms"]
+    for place, value in enumerate(rendered):
+        first, last = value["flash_ms"]
         print(
-            f"recording {place}{first:22.1f}{last:7.1f} ({found['flash_sd_ms']:.1f})"
-            f"{found['motion_ms']:20.1f} ({found['motion_sd_ms']:.1f})"
+            f"recording {place}{first:22.1f}{last:7.1f} ({value['flash_sd_ms']:.1f})"
+            f"{value['motion_ms']:20.1f} ({value['motion_sd_ms']:.1f})"
         )
 
 
@@ -127,13 +127,13 @@ def correction(folder: Path) -> list[dict[str, Any]]:
             simulator = train(
                 out, folder / f"{out.name}-sim", members=1, noise=False, progress=False,
             )  # fmt: skip
-            found = simulator.meta["test_errors"]
+            result = simulator.meta["test_errors"]
             rows.append(
                 {
                     "late_ms": 1000 * late,
                     "corrected": dataset.meta["motor_delays"][0]["corrected"],
                     "delay_ms": 1000 * dataset.meta["motor_delays"][0]["delay"],
-                    **{name: error["mean_absolute_error"] for name, error in found.items()},
+                    **{name: error["mean_absolute_error"] for name, error in result.items()},
                 }
             )
     return rows
@@ -145,10 +145,10 @@ def summary(drives: list[Recording], dropped: float, drift: float) -> dict[str, 
     for place, recording in enumerate(drives):
         lines = [line for line in recording.commands().itertuples() if line.is_motor]
         times, poses = seen(recording, dropped, np.random.default_rng(place))
-        found = motion_delay(times, poses, lines)
-        if found is not None:
-            delays.append(found.delay - RADIO)
-            ratios.append((found.delay - RADIO) / found.sd)
+        delay = motion_delay(times, poses, lines)
+        if delay is not None:
+            delays.append(delay.delay - RADIO)
+            ratios.append((delay.delay - RADIO) / delay.sd)
         camera = 12.5 + (1 + drift) * times
         try:
             fit = fit_clock_to_motion(camera, poses, lines)

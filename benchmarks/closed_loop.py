@@ -88,7 +88,7 @@ def motion_network() -> MotionNetwork:
     network = ProductSummationNetwork(len(names) + len(derived), 10, 1)
     torch.manual_seed(0)
     genes = 0.1 * torch.randn(9, 3, network.genes, dtype=torch.float64)
-    shares = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])
+    fractions = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])
     drive = DriveModel(
         lag=torch.full((2,), 0.1),
         slowing=torch.ones(2),
@@ -97,7 +97,7 @@ def motion_network() -> MotionNetwork:
         stick=torch.full((2,), 0.01),
         curve=torch.zeros(2, CURVES),
         delay=torch.tensor([0.03]),
-        kinematics=torch.cat([shares, torch.zeros(3, 3)]),
+        kinematics=torch.cat([fractions, torch.zeros(3, 3)]),
     )
     units = KernelUnits(
         torch.randn(UNITS, network.inputs, dtype=torch.float64),

@@ -48,27 +48,28 @@ def main() -> None:
     options = parser.parse_args()
     if not options.json:
         print("robot, commands every ... s: error over distance, drifting and all but held")
-    found = []
+    results = []
     for name in options.robots:
         robot = ROBOTS[name]
         simulator = learned(robot, options.rows, options.within)
         drive = simulator.drive
         assert drive is not None
-        found.append({"robot": name, "delay": float(drive.delay), "true": robot.delay})
+        results.append({"robot": name, "delay": float(drive.delay), "true": robot.delay})
         for period in PERIODS:
             errors = [
                 np.median([error(robot, simulator, period, kind, n) for n in range(DRIVES)])
                 for kind in ("drifting", "held")
             ]
-            found[-1][str(period)] = [float(one) for one in errors]
+            results[-1][str(period)] = [float(one) for one in errors]
         if not options.json:
-            said = "  ".join(f"{p}: {100 * a:5.1f} {100 * b:5.1f} %" for p, (a, b) in
-                             ((p, found[-1][str(p)]) for p in PERIODS))  # fmt: skip
+            columns = "  ".join(f"{p}: {100 * a:5.1f} {100 * b:5.1f} %" for p, (a, b) in
+                             ((p, results[-1][str(p)]) for p in PERIODS))  # fmt: skip
             print(
-                f"{name:14} delay {found[-1]['delay']:.3f} ({robot.delay:.3f})  {said}", flush=True
+                f"{name:14} delay {results[-1]['delay']:.3f} ({robot.delay:.3f})  {columns}",
+                flush=True,
             )
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(results))
 
 
 def learned(robot: Robot, count: int, within: bool) -> MotionNetwork:
@@ -81,7 +82,7 @@ def learned(robot: Robot, count: int, within: bool) -> MotionNetwork:
 
 def error(robot: Robot, simulator: MotionNetwork, period: float, kind: str, seed: int) -> float:
     """Return how far apart robot and simulator are in the end, over the distance driven."""
-    commands = drawn(robot, period, kind, np.random.default_rng([seed, 7]))
+    commands = random_commands(robot, period, kind, np.random.default_rng([seed, 7]))
     times = commands[:, -1:] * np.linspace(1 / LOOKS, 1.0, LOOKS)
     moved = robot.drive(commands, seed, noisy=False, times=times).y
     pose, path = np.zeros(3), [np.zeros(3)]
@@ -95,19 +96,19 @@ def error(robot: Robot, simulator: MotionNetwork, period: float, kind: str, seed
     return float(np.linalg.norm(state[0, :2] - pose[:2]) / max(distance, 1e-3))
 
 
-def drawn(robot: Robot, period: float, kind: str, rng: np.random.Generator) -> NDArray:
+def random_commands(robot: Robot, period: float, kind: str, rng: np.random.Generator) -> NDArray:
     """Return commands [N, C + 1] of :data:`SECONDS`."""
     count, largest = round(SECONDS / period), np.array(robot.largest)
     if kind == "held":
         base = 0.6 * largest * np.sign(rng.uniform(-1.0, 1.0, len(largest)))
         base[1:] *= rng.uniform(0.3, 1.0, len(largest) - 1)
-        share = 1.0 + 0.005 * (-1.0) ** np.arange(count)[:, None]
-        return np.column_stack([base * share, np.full(count, period)])
-    kept, value, found = np.exp(-period / 0.7), rng.uniform(-0.6, 0.6, len(largest)), []
+        fraction = 1.0 + 0.005 * (-1.0) ** np.arange(count)[:, None]
+        return np.column_stack([base * fraction, np.full(count, period)])
+    kept, value, result = np.exp(-period / 0.7), rng.uniform(-0.6, 0.6, len(largest)), []
     for _ in range(count):
         value = kept * value + np.sqrt(1 - kept**2) * 0.45 * rng.standard_normal(len(largest))
-        found.append(np.clip(value, -1.0, 1.0) * largest)
-    return np.column_stack([np.array(found), np.full(count, period)])
+        result.append(np.clip(value, -1.0, 1.0) * largest)
+    return np.column_stack([np.array(result), np.full(count, period)])
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def compiled() -> list[tuple[str, float, Counter[str]]]:
             if self.open:
                 self.open[-1][1] += seconds
 
-    found = []
+    results = []
     for simulator in (motion_network(), tables()):
         with event.install_listener("numba:compile", Times()) as times:
             free = simulator.free_poses(1, np.random.default_rng(0))
@@ -67,8 +67,8 @@ def compiled() -> list[tuple[str, float, Counter[str]]]:
             rollouts = simulator.rollouts(network, episode)
             assert rollouts is not None
             rollouts.run(np.zeros((1, network.genes)), rollouts.draw(starts, 0))
-        found.append((simulator.kind, sum(times.own.values()), times.own))
-    return found
+        results.append((simulator.kind, sum(times.own.values()), times.own))
+    return results
 
 
 if __name__ == "__main__":

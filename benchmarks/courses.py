@@ -6,7 +6,7 @@ a plan around the nine rectangles (robustly, ``neurosim evolve --robust``) and a
 how far the next rectangle's middle is and in which direction. They are then driven, each time from
 where a person puts the robot down, with the lab's own slip and caster:
 
-  - blind: the plan, as it is;
+  - open_loop: the plan, without feedback;
   - replanned: the plan, planned again after every command (``neurosim run --replan``);
   - network: asked five times a second.
 
@@ -80,7 +80,7 @@ NEAR = 0.03
 #: Starts and goals are in the middle of the board, where a robot does not touch the line.
 AREA = (1.9, 1.0)
 TOLERANCE = 0.02, math.radians(3.0)
-KINDS = ("blind", "replanned", "network")
+KINDS = ("open_loop", "replanned", "network")
 
 
 def main() -> None:
@@ -114,7 +114,7 @@ def main() -> None:
                 goes += [one.go(number, virtual) for virtual in (False, True)]
             print(f"robot {robot}: {time.monotonic() - began:.0f} s", file=sys.stderr)
             if not options.json:
-                told(drives, goes)
+                describe(drives, goes)
     if options.json:
         print(json.dumps({"settings": vars(options), "drives": drives, "go_to": goes}))
 
@@ -187,10 +187,10 @@ class Prepared:
 
     def _evolved(self, family: Any, how: dict[str, Any]) -> SavedController:
         settings = default_settings(family, TASK, **how)
-        found = evolve(
+        evolved = evolve(
             self.simulator, TASK, family, settings=settings, seed=self.robot, progress=False
         )
-        return found[0]
+        return evolved[0]
 
     @cached_property
     def expected(self) -> dict[str, np.ndarray]:
@@ -198,8 +198,8 @@ class Prepared:
         evaluator = Evaluator(self.simulator, TASK, self.network)
         poses = evaluator.run(self.genes[None], evaluator.expectation()).poses
         assert poses is not None
-        blind = predicted(self.simulator, self.plan.commands, TASK.start)
-        return {"network": poses[0, 0], "blind": blind, "replanned": blind}
+        open_loop = predicted(self.simulator, self.plan.commands, TASK.start)
+        return {"network": poses[0, 0], "open_loop": open_loop, "replanned": open_loop}
 
     def push(self, kind: str, number: int) -> Push:
         """Return a push halfway along what is expected, within the rectangle there."""
@@ -218,7 +218,7 @@ class Prepared:
 
     def course(self, number: int) -> list[dict]:
         """Drive a course in every way, without a push and with one."""
-        found = []
+        results = []
         for kind in KINDS:
             for pushed in (False, True):
                 push = self.push(kind, number) if pushed else None
@@ -226,8 +226,8 @@ class Prepared:
                 physics = Physics(self.robot, noise, TASK.start, push)
                 before = getattr(self, f"_{kind}")(physics, noise)
                 completed, path = physics.completed()
-                found.append(self._row(kind, pushed, False, completed, before, path))
-        return found
+                results.append(self._row(kind, pushed, False, completed, before, path))
+        return results
 
     def _row(
         self,
@@ -242,11 +242,11 @@ class Prepared:
         about = {"robot": self.robot, "kind": kind, "pushed": pushed, "camera": filmed}
         return {**about, "completed": completed, "passes_m": passes(before, path), **more}
 
-    def _blind(self, physics: Physics, noise: int) -> np.ndarray:
+    def _open_loop(self, physics: Physics, noise: int) -> np.ndarray:
         for command in self.plan.commands:
             if command is not None:
                 physics.drive(*command)
-        return self.expected["blind"]
+        return self.expected["open_loop"]
 
     def _replanned(self, physics: Physics, noise: int) -> np.ndarray:
         replanner = Replanner(self.simulator, TASK, self.family, self.plan.commands, seed=noise)
@@ -342,8 +342,8 @@ class Prepared:
         away = float(np.linalg.norm(end[:2] - goal[:2]))
         off = abs(math.remainder(end[2] - goal[2], 2 * math.pi))
         there = away <= within and off <= turned
-        found = {"robot": self.robot, "lab": virtual, "there": there, "away_m": away}
-        return {**found, "off_rad": off, "commands": int(steps), "seconds": seconds}
+        result = {"robot": self.robot, "lab": virtual, "there": there, "away_m": away}
+        return {**result, "off_rad": off, "commands": int(steps), "seconds": seconds}
 
 
 class Simulated:
@@ -413,7 +413,7 @@ def passes(before: np.ndarray, path: np.ndarray) -> list[float]:
     return [float(np.linalg.norm(path[:, :2] - place, axis=1).min()) for place in between]
 
 
-def told(drives: list[dict], goes: list[dict]) -> None:
+def describe(drives: list[dict], goes: list[dict]) -> None:
     print(
         "               pushed  through   completed  passes within 3 cm  median cm  nine of ten cm"
     )

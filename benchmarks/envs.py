@@ -60,23 +60,23 @@ def main() -> None:
     for name, simulator, task in systems(options.simulator, options.quick):
         for count in counts:
             rows += [
-                row(f"{name}: {way}", count, rate)
-                for way, rate in ours(simulator, task, count, repeats).items()
+                row(f"{name}: {direction}", count, rate)
+                for direction, rate in ours(simulator, task, count, repeats).items()
             ]
     for count in counts:
         rate = kheperax(count, 1 if options.quick else 3)
         rows += [] if rate is None else [row("Kheperax", count, rate)]
     compared = counts[-1] if options.quick else 1000
-    found = ratios(rows, compared)
+    result = ratios(rows, compared)
     if options.json:
         machine = {"cores": os.cpu_count(), "numba_threads": numba.get_num_threads()}
         machine["load"] = os.getloadavg()[0]
-        print(json.dumps({"machine": machine, "rows": rows, "ratios": found}))
+        print(json.dumps({"machine": machine, "rows": rows, "ratios": result}))
         return
     for one in rows:
         print(f"{one['name']:28}  {one['robots']:6}  {one['steps_per_second']:14,.0f}")
     print(f"\nat {compared} robots; load of the machine {os.getloadavg()[0]:.1f}")
-    for name, value in found.items():
+    for name, value in result.items():
         print(f"{name:45} {value:10.2f}")
 
 
@@ -104,7 +104,7 @@ def ours(simulator: ns.Simulator, task: ns.Task, count: int, repeats: int) -> di
     fitness = ns.evaluate(simulator, task, family, samples=1)
     evaluator, draws = fitness.evaluator, fitness.draws
     steps = count * len(draws) * evaluator.episode.steps
-    found = {}
+    results = {}
     parts = max(len(genes) // 250, 1)  # in parts that memory holds, as evaluate() does
 
     def kernel() -> None:
@@ -114,7 +114,7 @@ def ours(simulator: ns.Simulator, task: ns.Task, count: int, repeats: int) -> di
 
     for name, call in {"kernel": kernel, "ns.evaluate": lambda: fitness(genes)}.items():
         call()
-        found[name] = steps / median(call, min(repeats, 3) if count > 1000 else repeats)
+        results[name] = steps / median(call, min(repeats, 3) if count > 1000 else repeats)
     envs = TaskVectorEnv(simulator, task, num_envs=count)
     envs.reset(seed=0)
     rng, (low, high) = np.random.default_rng(1), (envs.action_space.low, envs.action_space.high)
@@ -127,8 +127,8 @@ def ours(simulator: ns.Simulator, task: ns.Task, count: int, repeats: int) -> di
 
     drive()
     whole = max(task.episode.steps // STEPS, 1)  # a median over whole episodes, resets included
-    found["environment"] = count * STEPS / mean(drive, max(repeats, whole))
-    return found
+    results["environment"] = count * STEPS / mean(drive, max(repeats, whole))
+    return results
 
 
 def mean(call, repeats: int) -> float:
@@ -140,15 +140,15 @@ def ratios(rows: list[dict], count: int) -> dict[str, float]:
     """Return how much faster environments are than others, at so many robots."""
     rates = {one["name"]: one["steps_per_second"] for one in rows if one["robots"] == count}
     best = [one["steps_per_second"] for one in rows if one["name"].startswith("MuJoCo")]
-    found = {}
+    results = {}
     for name in ("tables", "motion network"):
         own = rates[f"{name}: environment"]
-        found[f"{name}: environment over kernel"] = own / rates[f"{name}: kernel"]
+        results[f"{name}: environment over kernel"] = own / rates[f"{name}: kernel"]
         if "Kheperax" in rates:
-            found[f"{name}: environment over Kheperax"] = own / rates["Kheperax"]
+            results[f"{name}: environment over Kheperax"] = own / rates["Kheperax"]
         if best:
-            found[f"{name}: environment over MuJoCo's best"] = own / max(best)
-    return found
+            results[f"{name}: environment over MuJoCo's best"] = own / max(best)
+    return results
 
 
 class WheelsInMuJoCo(gymnasium.Env):
@@ -193,9 +193,9 @@ def asynchronous(count: int, repeats: int) -> float | None:
             envs.step(actions)
 
     drive()
-    found = count * STEPS / median(drive, repeats)
+    driven = count * STEPS / median(drive, repeats)
     envs.close()
-    return found
+    return driven
 
 
 if __name__ == "__main__":

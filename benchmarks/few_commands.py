@@ -48,7 +48,7 @@ def main() -> None:
     if options.quick:
         options.seeds, options.plans, options.runs = 1, 1, 2
     torch.set_num_threads(1)
-    found = []
+    results = []
     for seed in range(options.seeds):
         for kind in options.kinds:
             if kind == "random":
@@ -58,11 +58,15 @@ def main() -> None:
             simulator = learn(data, seed)
             simulator.perimeter = PERIMETER
             for number in range(options.plans):
-                found.append(
+                results.append(
                     {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}
                 )
-                print(json.dumps(found[-1]), file=sys.stderr, flush=True)
-    print(json.dumps({"settings": vars(options), "plans": found}) if options.json else words(found))
+                print(json.dumps(results[-1]), file=sys.stderr, flush=True)
+    print(
+        json.dumps({"settings": vars(options), "plans": results})
+        if options.json
+        else words(results)
+    )
 
 
 def one_plan(
@@ -74,20 +78,22 @@ def one_plan(
     plan = evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)[0]
     given = plan.given
     done = [drive(given, robot, 1000 * number + n) for n in range(options.drives)]
-    return {"said": plan.predicted["probability"], "completed": float(np.mean(done))}
+    return {"predicted": plan.predicted["probability"], "completed": float(np.mean(done))}
 
 
-def words(found: list[dict]) -> str:
+def words(result: list[dict]) -> str:
     """Return the table for a person: means, by how many points what is said is off, all plans."""
     lines = [
         "virtual lab          said   completed   off by   at most   said and completed, by robot"
     ]
-    for kind in dict.fromkeys(plan["kind"] for plan in found):
-        plans = [plan for plan in found if plan["kind"] == kind]
-        said, done = (np.array([plan[k] for plan in plans]) for k in ("said", "completed"))
-        off = np.abs(said - done)
-        each = ", ".join(f"{s:.0%} {d:.0%}" for s, d in zip(said, done, strict=True))
-        shown = f"{said.mean():12.0%}{done.mean():12.0%}{off.mean():9.0%}{off.max():10.0%}"
+    for kind in dict.fromkeys(plan["kind"] for plan in result):
+        plans = [plan for plan in result if plan["kind"] == kind]
+        predicted, done = (
+            np.array([plan[k] for plan in plans]) for k in ("predicted", "completed")
+        )
+        off = np.abs(predicted - done)
+        each = ", ".join(f"{s:.0%} {d:.0%}" for s, d in zip(predicted, done, strict=True))
+        shown = f"{predicted.mean():12.0%}{done.mean():12.0%}{off.mean():9.0%}{off.max():10.0%}"
         lines.append(f"{kind:8s} mean {shown}   {each}")
     return "\n".join(lines)
 

@@ -195,11 +195,15 @@ def case(
     what = damage(damaged, rng)
     words = target.line.split()
     before = _state(scratch, words)
-    code, said, fault = call(words, work, show)
+    code, message, fault = call(words, work, show)
     if not fault and code not in (0, 1, 2):
         fault = f"exit code {code}"
-    if not fault and code == 1 and not said.strip().splitlines()[-1:][0].startswith("neurosim: "):
-        fault = f"no sentence: {said[-200:]!r}"
+    if (
+        not fault
+        and code == 1
+        and not message.strip().splitlines()[-1:][0].startswith("neurosim: ")
+    ):
+        fault = f"no sentence: {message[-200:]!r}"
     if not fault and code and words[0] not in KEEPS and any(work.glob("out*")):
         fault = "an output stands there although the command failed"
     if not fault and _state(scratch, words) != before:
@@ -340,9 +344,9 @@ def _work(made: Path, targets: Sequence[Target], options: argparse.Namespace) ->
             work.mkdir()
             for name in dict.fromkeys((*target.reads, *target.beside)):
                 _copy(made / name, work / name)
-            code, said, fault = call(target.line.split(), work)
+            code, message, fault = call(target.line.split(), work)
             if code or fault:
-                raise SystemExit(f"{target.line}: whole files are refused: {said}{fault}")
+                raise SystemExit(f"{target.line}: whole files are refused: {message}{fault}")
             shutil.rmtree(work)
         print("ready", file=stdout, flush=True)
         for number in range(options.worker, options.cases):
@@ -379,9 +383,9 @@ def make(folder: Path, lab: bool = True) -> None:
 
     def do(line: str) -> None:
         began = time.monotonic()
-        code, said, fault = call(line.split(), folder)
+        code, message, fault = call(line.split(), folder)
         if code or fault:
-            raise SystemExit(f"{line}: {said}{fault}")
+            raise SystemExit(f"{line}: {message}{fault}")
         print(f"{time.monotonic() - began:6.1f} s  {line}", file=sys.stderr)
 
     do("dataset --from csv rows.csv -o dataset --rows")
@@ -456,16 +460,16 @@ def _write_inputs(folder: Path) -> None:
         | dict(zip(("dx", "dy", "dtheta"), moved.T, strict=True)),
     )
     time = np.arange(0, 30, 0.1).round(2)
-    way, angle = 0.1 * time, 0.2 * np.sin(time)
+    distance, angle = 0.1 * time, 0.2 * np.sin(time)
     write_csv(
         folder / "log.csv",
-        {"time": time, "x": way, "y": 0.1 * way, "heading": angle, "v": 0.1 + 0 * time,
+        {"time": time, "x": distance, "y": 0.1 * distance, "heading": angle, "v": 0.1 + 0 * time,
          "w": 0.2 * np.cos(time // 2)},
     )  # fmt: skip
     lines = zip(time, 0.1 + 0 * time, 0.2 * np.cos(time // 2), strict=True)
     text = "".join(f"{a:.3f}\t{b:.3f}\t{c:.3f}\n" for a, b, c in lines)
     (folder / "R_Odometry.dat").write_text("# Time [s]\tv [m/s]\tw [rad/s]\n" + text)
-    lines = zip(time, way, 0.1 * way, angle, strict=True)
+    lines = zip(time, distance, 0.1 * distance, angle, strict=True)
     text = "".join("\t".join(f"{n:.3f}" for n in row) + "\n" for row in lines)
     (folder / "R_Groundtruth.dat").write_text("# Time [s]\tx [m]\ty [m]\tyaw [rad]\n" + text)
     to = -2 * np.pi * np.arange(12)[:, None] / 12

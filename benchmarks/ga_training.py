@@ -330,12 +330,12 @@ def main() -> None:
     if options.whole:
         if options.dataset is None:
             parser.error("--whole needs a dataset")
-        found = whole(options.dataset, options.generations, options.device)
+        result = whole(options.dataset, options.generations, options.device)
         if options.json:
-            print(json.dumps(found))
+            print(json.dumps(result))
             return
-        print(f"3 x {found['generations']} generations: {found['minutes']:.1f} minutes")
-        for name, error in found["errors"].items():
+        print(f"3 x {result['generations']} generations: {result['minutes']:.1f} minutes")
+        for name, error in result["errors"].items():
             mean, mse = error["mean_absolute_error"], error["mse"]
             print(f"{name:7s} mean absolute error {mean:.2f} {error['unit']}, MSE {mse:.2f}")
         return

@@ -56,21 +56,21 @@ def main() -> None:
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
     vehicle, weights = braitenberg(tables.reading_names, tables.bearings)
     assert vehicle == network
-    found: dict[str, np.ndarray] = {"Braitenberg vehicle": weights}
+    result: dict[str, np.ndarray] = {"Braitenberg vehicle": weights}
     seconds = {}
     for name, task, more in (
         ("evolved, the paper's way", paper, {}),
         ("evolved in many arenas", many, {"arenas": 100, "objective": "fitness"}),
     ):
         began = time.monotonic()
-        found[name] = ns.evolve(tables, task, network, progress=False, **how, **more)[0].genes
+        result[name] = ns.evolve(tables, task, network, progress=False, **how, **more)[0].genes
         seconds[name] = time.monotonic() - began
     rng = np.random.default_rng(2**31 + options.seed)
     arenas = [random_arena(rng, inner=options.inner) for _ in range(options.arenas)]
     rows = []
-    ways = (("tables", in_tables, options.drives), ("lab", in_the_lab, options.lab_drives))
-    for where, drive, drives in ways:
-        for name, genes in found.items() if drives else ():
+    cases = (("tables", in_tables, options.drives), ("lab", in_the_lab, options.lab_drives))
+    for where, drive, drives in cases:
+        for name, genes in result.items() if drives else ():
             touched, fitness = drive(tables, network, genes, arenas, drives, options.seed)
             row = {"where": where, "name": name, "drives": touched.size}
             row |= {"touched": touched.mean(), "worst": touched.mean(1).max()}

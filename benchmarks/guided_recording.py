@@ -186,7 +186,7 @@ def together(one: TrainingData, other: TrainingData) -> TrainingData:
 def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArray]:
     """Return inputs (N, 5) and outcomes (N, R, 3) of fresh random commands after random ones."""
     robot, source = Robot(lab_seed, 10_000 + lab_seed), RandomCommands(seed=10_000)
-    inputs, found, draws = [], [], 10 * commands
+    inputs, result, draws = [], [], 10 * commands
     for n in range(commands):
         one, two = source.command(2 * n), source.command(2 * n + 1)
         inputs.append([*one.numbers, *two.row])
@@ -204,8 +204,8 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
             ends = np.abs([start[:2], robot.pose[:2]]) < LINE
             if ends.all() or robot.rng.random() < 0.02:
                 runs.append(robot.measured(start))
-        found.append(runs)
-    return np.array(inputs), np.array(found)
+        result.append(runs)
+    return np.array(inputs), np.array(result)
 
 
 def learned(data: TrainingData, seed: int) -> Callable[[NDArray], NDArray]:
@@ -216,16 +216,16 @@ def learned(data: TrainingData, seed: int) -> Callable[[NDArray], NDArray]:
 
 def judged(data: TrainingData, test: tuple[NDArray, NDArray], seed: int, repeats: int) -> dict:
     """Return errors and excesses (cm, cm, deg) of a training, averaged, and of their mean."""
-    inputs, found = test
-    middle = np.median(found, axis=1)
-    said = np.array([learned(data, 100 * k + seed)(inputs) for k in range(repeats)])
+    inputs, result = test
+    middle = np.median(result, axis=1)
+    predicted = np.array([learned(data, 100 * k + seed)(inputs) for k in range(repeats)])
 
     def off(prediction: NDArray) -> tuple[NDArray, NDArray]:
-        error = np.abs(prediction[:, None] - found).mean((0, 1)) * READ
+        error = np.abs(prediction[:, None] - result).mean((0, 1)) * READ
         return error, np.abs(prediction - middle).mean(0) * READ
 
-    error, excess = np.mean([off(one) for one in said], axis=0)
-    together, together_excess = off(said.mean(0))
+    error, excess = np.mean([off(one) for one in predicted], axis=0)
+    together, together_excess = off(predicted.mean(0))
     return {
         "error": error.tolist(),
         "excess": excess.tolist(),
@@ -264,9 +264,13 @@ def main() -> None:
         result["cut"].append({name: cuts for name, (_, cuts) in made.items()})
         for name, (data, _) in made.items():
             for count in getattr(options, name):
-                found = judged(data.part(slice(count)), test, seed, options.repeats)
-                result[name].setdefault(count, []).append(found)
-                print(f"seed {seed}, {count} {name}: {found['error']}", file=sys.stderr, flush=True)
+                judgement = judged(data.part(slice(count)), test, seed, options.repeats)
+                result[name].setdefault(count, []).append(judgement)
+                print(
+                    f"seed {seed}, {count} {name}: {judgement['error']}",
+                    file=sys.stderr,
+                    flush=True,
+                )
     print(json.dumps(result) if options.json else words(result, options.repeats))
 
 

@@ -177,7 +177,7 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
         ", from rest": moving & ~inputs[:, :2].any(1),
     }
     table = {
-        name + words: shares(ranks[rows, place])
+        name + words: coverage(ranks[rows, place])
         for words, rows in some.items()
         for place, name in enumerate(OUTPUTS)
     }
@@ -188,12 +188,12 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
         for command in torch.tensor(given):
             state = simulator.step(state, command.expand(options.draws, 3), generator)
         points[:, n] = state[:, :2]
-    table[f"position after {options.length}"] = shares(region(points, ends[:, :2]))
+    table[f"position after {options.length}"] = coverage(region(points, ends[:, :2]))
     error = np.linalg.norm(points.mean(0) - ends[:, :2], axis=1)
     return {"table": table, "median distance from the predicted mean (m)": float(np.median(error))}
 
 
-def shares(ranks: NDArray) -> dict[str, float]:
+def coverage(ranks: NDArray) -> dict[str, float]:
     """Return the fraction of ranks up to each level."""
     return {str(level): float((ranks <= level).mean()) for level in LEVELS}
 

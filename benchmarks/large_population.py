@@ -43,14 +43,14 @@ def main() -> None:
     options = parser.parse_args()
     simulator = papers_size() if options.simulator is None else read_simulator(options.simulator)
     before = peak()
-    found = (generations if options.evolve else streamed)(simulator, options)
-    found |= {"plans": options.plans, "gigabytes_before": before, "gigabytes_peak": peak()}
+    evolved = (generations if options.evolve else streamed)(simulator, options)
+    evolved |= {"plans": options.plans, "gigabytes_before": before, "gigabytes_peak": peak()}
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(evolved))
         return
     print(
-        f"{found['plans_per_second']:,.0f} plans a second; best fitness {found['best']:.1f}; "
-        f"peak memory {found['gigabytes_peak']:.2f} GB, {before:.2f} GB before the first plan"
+        f"{evolved['plans_per_second']:,.0f} plans a second; best fitness {evolved['best']:.1f}; "
+        f"peak memory {evolved['gigabytes_peak']:.2f} GB, {before:.2f} GB before the first plan"
     )
 
 

@@ -48,11 +48,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     names = list(ZOO) if options.robots == "all" else options.robots.split(",")
-    found = []
+    results = []
     for name in names:
         for count in map(int, options.rows.split(",")):
             entry = {"robot": name, "rows": count, **measured(ZOO[name], count, options)}
-            found.append(entry)
+            results.append(entry)
             if not options.json:
                 wanted = WANTED.get(count)
                 limit = "" if wanted is None else f" (wanted: {wanted:.0f} s, {MEMORY:g} GB)"
@@ -63,7 +63,7 @@ def main() -> None:
                     flush=True,
                 )
     if options.json:
-        print(json.dumps(found, indent=2))
+        print(json.dumps(results, indent=2))
 
 
 def measured(robot: Robot, count: int, options: argparse.Namespace) -> dict[str, object]:
@@ -86,8 +86,8 @@ def measured(robot: Robot, count: int, options: argparse.Namespace) -> dict[str,
         unit = 1.0 if sys.platform == "darwin" else 1024.0
         judged = clean(robot, JUDGED)
         simulator = read_simulator(folder / "s")
-        told = simulator.chained(torch.tensor(judged.x))
-        errors = np.abs(simulator.displacement_of(told).numpy() - judged.y)
+        commanded = simulator.chained(torch.tensor(judged.x))
+        errors = np.abs(simulator.displacement_of(commanded).numpy() - judged.y)
     return {
         "seconds": seconds,
         "memory_gb": used.ru_maxrss * unit / 1e9,

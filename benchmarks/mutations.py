@@ -41,14 +41,14 @@ def damage(path: Path, rng: random.Random) -> str:
     if rng.random() < 0.02:
         return _replace_file(path, rng)
     data = path.read_bytes()
-    ways: list[Callable[[bytes, random.Random], tuple[bytes, str]]] = [_bytes]
+    mutations: list[Callable[[bytes, random.Random], tuple[bytes, str]]] = [_bytes]
     by_kind = {
         ".json": _json, ".csv": _csv, ".safetensors": _tensors, ".sample": _words, ".jsonl": _lines
     }  # fmt: skip
     if path.suffix in by_kind:
-        ways += 4 * [by_kind[path.suffix]]
+        mutations += 4 * [by_kind[path.suffix]]
     try:
-        changed, what = rng.choice(ways)(data, rng)
+        changed, what = rng.choice(mutations)(data, rng)
     except (ValueError, IndexError, KeyError):  # a file that has nothing to change in that way
         changed, what = _bytes(data, rng)
     path.write_bytes(changed)
@@ -57,40 +57,40 @@ def damage(path: Path, rng: random.Random) -> str:
 
 def _replace_file(path: Path, rng: random.Random) -> str:
     path.unlink()
-    way = rng.choice(("missing", "a folder", "a link to itself", "a pipe", "empty"))
-    if way == "a folder":
+    kind = rng.choice(("missing", "a folder", "a link to itself", "a pipe", "empty"))
+    if kind == "a folder":
         path.mkdir()
-    elif way == "a link to itself":
+    elif kind == "a link to itself":
         path.symlink_to(path.name)
-    elif way == "a pipe" and hasattr(os, "mkfifo"):
+    elif kind == "a pipe" and hasattr(os, "mkfifo"):
         os.mkfifo(path)
-    elif way == "empty":
+    elif kind == "empty":
         path.touch()
-    return f"{path.name}: {way}"
+    return f"{path.name}: {kind}"
 
 
 def _bytes(data: bytes, rng: random.Random) -> tuple[bytes, str]:
-    way = rng.choice(("cut", "flip", "insert", "remove", "repeat", "zero", "bom", "text"))
+    kind = rng.choice(("cut", "flip", "insert", "remove", "repeat", "zero", "bom", "text"))
     start = rng.randrange(len(data) + 1)
     length = min(int(2 ** rng.uniform(0, 14)), 10_000)
-    if way == "cut":
+    if kind == "cut":
         return data[:start], f"cut at byte {start}"
-    if way == "flip":
+    if kind == "flip":
         changed = bytearray(data)
         for _ in range(rng.randint(1, 8)):
             if changed:
                 changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
         return bytes(changed), "bits flipped"
-    if way == "insert":
+    if kind == "insert":
         return data[:start] + rng.randbytes(length) + data[start:], f"bytes inserted at {start}"
-    if way == "remove":
+    if kind == "remove":
         return data[:start] + data[start + length :], f"bytes {start} to {start + length} removed"
-    if way == "repeat":
+    if kind == "repeat":
         part = data[start : start + length]
         return data[:start] + part * rng.randint(2, 20) + data[start:], f"repeated at {start}"
-    if way == "zero":
+    if kind == "zero":
         return data[:start] + bytes(length) + data[start + length :], f"zeros at {start}"
-    if way == "bom":
+    if kind == "bom":
         return rng.choice((b"\xef\xbb\xbf", b"\xff\xfe", b"\x1f\x8b")) + data, "another beginning"
     return b"something else\n" * rng.randint(0, 100), "another text"
 
@@ -134,8 +134,8 @@ def _json(data: bytes, rng: random.Random) -> tuple[bytes, str]:
     return text.encode("utf-8", "surrogatepass"), ", ".join(done)
 
 
-def _raw(found: re.Match[str]) -> str:
-    return found[1].replace('\\"', '"')
+def _raw(result: re.Match[str]) -> str:
+    return result[1].replace('\\"', '"')
 
 
 def _named(path: tuple) -> str:
@@ -143,65 +143,65 @@ def _named(path: tuple) -> str:
 
 
 def _change(place: Any, key: Any, now: Any, rng: random.Random) -> str:
-    ways = ["value", "value", "value", "left out", "key"]
+    kinds = ["value", "value", "value", "left out", "key"]
     number = isinstance(now, int | float) and not isinstance(now, bool)
     if number:
-        ways += ["times", "times"]
+        kinds += ["times", "times"]
     elif isinstance(now, list):
-        ways += ["longer", "shorter", "nested"]
+        kinds += ["longer", "shorter", "nested"]
     elif isinstance(now, str):
-        ways += ["longer"]
-    way = rng.choice(ways)
-    if way == "left out":
+        kinds += ["longer"]
+    kind = rng.choice(kinds)
+    if kind == "left out":
         del place[key]
-    elif way == "key" and isinstance(place, dict):
+    elif kind == "key" and isinstance(place, dict):
         place[rng.choice(("", "x", "format", "x" * 1000))] = place.pop(key)
-    elif way == "times":
+    elif kind == "times":
         factor = rng.choice((-1, 0, 0.5, 1.0, 2, 10, 1000, 1e-6, 1e6, 1e12))
         place[key] = now * factor
         return f"times {factor:g}"
-    elif way == "longer":
+    elif kind == "longer":
         place[key] = now * rng.choice((2, 3, 1000))
-    elif way == "shorter":
+    elif kind == "shorter":
         place[key] = now[: rng.randrange(len(now) + 1)]
-    elif way == "nested":
+    elif kind == "nested":
         place[key] = [now]
     else:
         place[key] = rng.choice(VALUES)
         return f"= {place[key]!r:.30}"
-    return way
+    return kind
 
 
 def _csv(data: bytes, rng: random.Random) -> tuple[bytes, str]:
     lines = data.decode().splitlines()
     cells = [line.split(",") for line in lines]
     line = rng.choice((0, min(1, len(cells) - 1), len(cells) - 1, rng.randrange(len(cells))))
-    way = rng.choice(
+    kind = rng.choice(
         ("field", "field", "field", "column", "line out", "twice", "swap", "name", "order", "all")
     )
     column = rng.randrange(len(cells[line]))
-    if way == "field":
+    if kind == "field":
         cells[line][column] = rng.choice(FIELDS)
-    elif way == "column":
+    elif kind == "column":
         for row in cells:
             del row[column]
-    elif way == "line out":
+    elif kind == "line out":
         del cells[line]
-    elif way == "twice":
+    elif kind == "twice":
         cells[line:line] = [list(cells[line])] * rng.choice((1, 4, 2_000))
-    elif way == "swap":
+    elif kind == "swap":
         other = rng.randrange(len(cells))
         cells[line], cells[other] = cells[other], cells[line]
-    elif way == "name":
+    elif kind == "name":
         cells[0][column % len(cells[0])] = rng.choice((*cells[0], *FIELDS))
-    elif way == "order":
+    elif kind == "order":
         rng.shuffle(cells)
     else:
         value = rng.choice(FIELDS[:18])
         for row in cells[1:]:
             row[column % len(row)] = value
     changed = "\n".join(",".join(row) for row in cells) + "\n"
-    return changed.encode(), f"line {line + 1}, column {column + 1}: {way}"
+    return changed.encode(), f"line {line + 1}, column {column + 1}: {kind}"
 
 
 def _words(data: bytes, rng: random.Random) -> tuple[bytes, str]:
@@ -231,26 +231,26 @@ def _tensors(data: bytes, rng: random.Random) -> tuple[bytes, str]:
     tensors = {name: value.copy() for name, value in load(data).items()}
     name = rng.choice(sorted(tensors))
     tensor = tensors[name]
-    way = rng.choice(("value", "value", "all", "shape", "out", "kind", "order", "longer", "empty"))
-    if way == "value" and tensor.size:
+    kind = rng.choice(("value", "value", "all", "shape", "out", "kind", "order", "longer", "empty"))
+    if kind == "value" and tensor.size:
         numbers = (np.nan, np.inf, -np.inf, 0, -1, 1e-300, 1e30, 1e300, rng.gauss(0, 10))
         with np.errstate(over="ignore", invalid="ignore"):
             tensor.reshape(-1)[rng.randrange(tensor.size)] = np.array(rng.choice(numbers)).astype(
                 tensor.dtype
             )
-    elif way == "all":
+    elif kind == "all":
         tensors[name] = np.full_like(tensor, rng.choice((0, 1, 100)))
-    elif way == "shape":
+    elif kind == "shape":
         tensors[name] = tensor.reshape(rng.choice(((-1,), (1, *tensor.shape), (*tensor.shape, 1))))
-    elif way == "out":
+    elif kind == "out":
         del tensors[name]
-    elif way == "kind":
+    elif kind == "kind":
         with np.errstate(over="ignore", invalid="ignore"):
             tensors[name] = tensor.astype(rng.choice((np.float32, np.int64, np.uint8, np.float16)))
-    elif way == "order":
+    elif kind == "order":
         tensors[name] = np.ascontiguousarray(tensor[..., ::-1].T)
-    elif way == "longer":
+    elif kind == "longer":
         tensors[name] = np.concatenate([tensor] * rng.choice((2, 3, 50)))
     else:
         tensors[name] = tensor[:0]
-    return save(tensors), f"{name}: {way}"
+    return save(tensors), f"{name}: {kind}"

@@ -98,7 +98,7 @@ def displacements(settings: Settings, pair: int) -> np.ndarray:
     rng = np.random.default_rng([settings.seed, pair])
     row = pairs_of(settings).iloc[pair]
     command = Command((row.left, row.right), row.duration)
-    found: list[np.ndarray] = []
+    results: list[np.ndarray] = []
     with VirtualRig(
         settings.robot,
         noise_seed=settings.seed * 100_000 + pair,
@@ -107,7 +107,7 @@ def displacements(settings: Settings, pair: int) -> np.ndarray:
         rig.robot.connect()
         eye = Eye(rig, rng) if settings.pose == "camera" else None
         tries = 0
-        while len(found) < settings.repetitions:
+        while len(results) < settings.repetitions:
             tries += 1
             if tries > 40 * settings.repetitions:
                 raise RuntimeError(f"command {pair} fits nowhere on the board")
@@ -116,9 +116,9 @@ def displacements(settings: Settings, pair: int) -> np.ndarray:
             previous = Command((row.prev_left, row.prev_right), rng.uniform(*_DURATIONS))
             moved = _drive(rig, [before, previous, command], rng, eye)
             if moved is not None:
-                found.append(moved)
+                results.append(moved)
         rig.robot.close()
-    return np.array(found)
+    return np.array(results)
 
 
 def _drive(

@@ -155,7 +155,7 @@ def mujoco_rollouts(plans: int) -> list[dict]:
     control = [controls(rng, model.opt.timestep) for _ in range(plans)]
     # One after the other they would be of unequal length: all are cut to the shortest.
     steps = min(map(len, control))
-    share = steps / np.mean([len(one) for one in control])
+    fraction = steps / np.mean([len(one) for one in control])
     control = np.stack([one[:steps] for one in control])
     mujoco.mj_forward(model, data[0])
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -166,10 +166,10 @@ def mujoco_rollouts(plans: int) -> list[dict]:
     began = time.perf_counter()
     rollout.rollout([model] * plans, data, state, control)
     seconds = time.perf_counter() - began
-    found = row(f"MuJoCo, rollouts on {threads} threads, no fitness", None)
-    found["command_steps_per_second"] = plans * COMMANDS * share / seconds
-    found["physics_steps_per_second"] = plans * steps / seconds
-    return [found]
+    rolled_out = row(f"MuJoCo, rollouts on {threads} threads, no fitness", None)
+    rolled_out["command_steps_per_second"] = plans * COMMANDS * fraction / seconds
+    rolled_out["physics_steps_per_second"] = plans * steps / seconds
+    return [rolled_out]
 
 
 def controls(rng: np.random.Generator, timestep: float) -> np.ndarray:

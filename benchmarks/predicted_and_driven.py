@@ -59,8 +59,8 @@ def main() -> None:
         for robot in ROBOTS[: options.robots]:
             for kind in options.kinds.split(","):
                 one_simulator(options, robot, kind)
-    found = summary(list(rows(options.kept)))
-    print(json.dumps(found, indent=2) if options.json else table(found))
+    result = summary(list(rows(options.kept)))
+    print(json.dumps(result, indent=2) if options.json else table(result))
 
 
 def neurosim(*words: object) -> dict:
@@ -101,13 +101,13 @@ def one_plan(options: argparse.Namespace, folder: Path, robot: int, seed: int) -
         neurosim("evolve", simulator, *task, "-o", plan, "--seed", seed)
     checked = plan.with_name(f"{plan.name}.check.json")
     if not checked.exists():
-        found = neurosim("plan-check", plan, simulator, "--seed", seed, "--json")
+        result = neurosim("plan-check", plan, simulator, "--seed", seed, "--json")
         given = [tuple(c) for c in read_controller(plan).commands if c is not None]
-        found["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
-        found["bare_drives"] = options.bare
+        result["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
+        result["bare_drives"] = options.bare
         best = oracle(given, robot, seed)
-        found["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
-        checked.write_text(json.dumps(found), encoding="utf-8")
+        result["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
+        checked.write_text(json.dumps(result), encoding="utf-8")
     for how, count in (("open-loop", options.drives), ("replanned", options.replanned)):
         for number in range(count):
             trial = folder / f"{plan.name}-{how}-{number}"
@@ -124,8 +124,8 @@ def one_plan(options: argparse.Namespace, folder: Path, robot: int, seed: int) -
 def oracle(given: list, robot: int, seed: int) -> list:
     """Return the commands of a plan that was evolved on in the lab's physics, with the guard."""
     options = argparse.Namespace(lab_seed=robot, bound_generations=30)
-    found = bound([SimpleNamespace(commands=given)], len(given), seed, options)
-    return [command for command in found[0].commands if command is not None]
+    result = bound([SimpleNamespace(commands=given)], len(given), seed, options)
+    return [command for command in result[0].commands if command is not None]
 
 
 def rows(kept: Path) -> Iterator[dict]:
@@ -150,7 +150,7 @@ def rows(kept: Path) -> Iterator[dict]:
 
 def summary(drives: list[dict]) -> dict:
     """Return what all drives say."""
-    found: dict = {}
+    results: dict = {}
     for how in ("open-loop", "replanned"):
         chosen = [row for row in drives if row["how"] == how]
         if not chosen:
@@ -175,16 +175,16 @@ def summary(drives: list[dict]) -> dict:
                 "Brier skill": 1 - brier / base if base > 0 else None,
                 "bins": bins(predicted, done),
             }
-        found[how] = about
+        results[how] = about
         for kind in KINDS:
             part = [row for row in chosen if row["kind"] == kind]
             if part:
-                found[f"{how}, {kind}"] = {
+                results[f"{how}, {kind}"] = {
                     "drives": len(part),
                     "predicted": float(np.mean([row["predicted"] for row in part])),
                     "completed": float(np.mean([row["completed"] for row in part])),
                 }
-    return found
+    return results
 
 
 def bins(predicted: np.ndarray, done: np.ndarray) -> list[dict]:
@@ -201,9 +201,9 @@ def bins(predicted: np.ndarray, done: np.ndarray) -> list[dict]:
     ]
 
 
-def table(found: dict) -> str:
+def table(result: dict) -> str:
     lines = []
-    for name, about in found.items():
+    for name, about in result.items():
         lines.append(name)
         for key, value in about.items():
             if key == "bins":

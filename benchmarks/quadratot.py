@@ -59,13 +59,13 @@ Array = NDArray[np.float64]
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "real" / "quadratot"
 COLUMNS = ["amp", "tau_s", "scale_in_out", "mult_fb", "mult_lr", "distance_px"]
-#: So many trials are drawn.
-DRAWN = 40
+#: Number of trials that are sampled.
+SAMPLED = 40
 #: Of the camera above the robot, m; a trial lasts so long, s.
 PIXEL, SECONDS = 0.0017, 12.0
 GAIT = SineGait(SECONDS)
 METHODS = (
-    "mean of the drawn trials",
+    "mean of the sampled trials",
     "Gaussian process",
     "simulator as it is",
     "simulator adapted",
@@ -199,57 +199,57 @@ def joined(mean: Array, mean_at: Array, genes: Array, roots: Array, at: Array) -
     return level + slope * mean_at + rest
 
 
-def measures(found: Array, trials: Trials, noise: tuple[float, float]) -> dict[str, float | None]:
+def measures(result: Array, trials: Trials, noise: tuple[float, float]) -> dict[str, float | None]:
     """Return rank, and errors over the noise, of predictions [N] of trials (square roots)."""
-    found = np.maximum(found, 0.0)
-    pixels = np.sqrt(np.mean((found**2 - trials.roots**2) ** 2))
-    roots = np.sqrt(np.mean((found - trials.roots) ** 2))
-    rank = rank_correlation(found, trials.roots)
+    result = np.maximum(result, 0.0)
+    pixels = np.sqrt(np.mean((result**2 - trials.roots**2) ** 2))
+    roots = np.sqrt(np.mean((result - trials.roots) ** 2))
+    rank = rank_correlation(result, trials.roots)
     return {"rank": rank, "pixels": float(pixels / noise[0]), "roots": float(roots / noise[1])}
 
 
 def one_seed(
-    robot: Robot, seed: int, drawn: int = DRAWN, generations: int | None = None
+    robot: Robot, seed: int, sampled: int = SAMPLED, generations: int | None = None
 ) -> dict[str, Any]:
     """Return what every method makes of the trials that are not drawn.
 
     Args:
         robot: the real one, and its simulator.
         seed: of what is drawn, and of L3.
-        drawn: how many.
+        sampled: number of trials.
         generations: of L3; by default those of our settings; 0: no L3.
     """
     began, trials, simulated = time.monotonic(), robot.trials, robot.simulated
     simulated.tried = 0
     order = np.random.default_rng(seed).permutation(len(trials.roots))
-    own, other = np.split(order, [drawn])
+    own, other = np.split(order, [sampled])
     known, held = (Trials(*(one[part] for one in trials)) for part in (own, other))
     count = settings_named("better").adapt_generations if generations is None else generations
-    told = {
+    commanded = {
         METHODS[0]: np.full(len(other), known.roots.mean()),
         METHODS[1]: process(known.genes, known.roots, held.genes),
     }
-    simulators, found = {"as it is": (robot.as_is[own], robot.as_is[other])}, None
+    simulators, result = {"as it is": (robot.as_is[own], robot.as_is[other])}, None
     if count:
-        found = adapted(simulated, known, seed, count)
-        simulators["adapted"] = tuple(predicted(simulated, one, found) for one in (known, held))
+        result = adapted(simulated, known, seed, count)
+        simulators["adapted"] = tuple(predicted(simulated, one, result) for one in (known, held))
     for name, (mean, mean_at) in simulators.items():
-        told[f"simulator {name}"] = mean_at
-        told[f"process on the simulator {name}"] = joined(
+        commanded[f"simulator {name}"] = mean_at
+        commanded[f"process on the simulator {name}"] = joined(
             mean, mean_at, known.genes, known.roots, held.genes
         )
     parameters = {}
-    if found is not None:
-        values = simulated.values(found).tolist()
+    if result is not None:
+        values = simulated.values(result).tolist()
         names = (one.name for one in simulated.parameters)
         parameters = dict(zip(names, values, strict=True))
     return {
         "seed": seed,
-        "drawn": drawn,
+        "sampled": sampled,
         "generations": count,
         "noise": robot.noise,
-        "held out": {name: measures(told[name], held, robot.noise) for name in told},
-        "drawn ones": {
+        "held out": {name: measures(commanded[name], held, robot.noise) for name in commanded},
+        "sampled ones": {
             name: measures(mean, known, robot.noise) for name, (mean, _) in simulators.items()
         },
         "parameters": parameters,
@@ -260,7 +260,7 @@ def one_seed(
 
 def summary(rows: list[dict[str, Any]]) -> str:
     """Return the table of medians over seeds, for a person."""
-    text = f"{len(rows)} seeds of {rows[0]['drawn']} trials; "
+    text = f"{len(rows)} seeds of {rows[0]['sampled']} trials; "
     text += "medians, in brackets the least and the most\n"
     text += f"  {'':36s}{'rank':>20s}{'error px / noise':>22s}{'error roots / noise':>22s}\n"
     for name in (one for one in METHODS if one in rows[0]["held out"]):
@@ -275,9 +275,9 @@ def summary(rows: list[dict[str, Any]]) -> str:
         text += "\n"
     noise = rows[0]["noise"]
     text += f"noise of repeats: {noise[0]:.1f} px, {noise[1]:.2f} in square roots\n"
-    for name in rows[0]["drawn ones"]:
-        own = [row["drawn ones"][name]["roots"] for row in rows]
-        text += f"the simulator {name} on the drawn trials: {np.median(own):.2f} (roots / noise)\n"
+    for name in rows[0]["sampled ones"]:
+        own = [row["sampled ones"][name]["roots"] for row in rows]
+        text += f"simulator {name}, sampled trials: {np.median(own):.2f} (roots / noise)\n"
     return text
 
 
@@ -303,11 +303,11 @@ def all_seeds(options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return the rows of all seeds; those that the file has are not computed again."""
     trials = read_trials(options.data)
     noise = noise_of(trials.roots**2, trials.gait), noise_of(trials.roots, trials.gait)
-    how = {"drawn": DRAWN, "generations": options.generations}
+    how = {"sampled": SAMPLED, "generations": options.generations}
     if options.quick:
         part = np.random.default_rng(0).permutation(len(trials.roots))[:40]
         trials = Trials(*(one[part] for one in trials))
-        how = {"drawn": 10, "generations": 1}
+        how = {"sampled": 10, "generations": 1}
     kept = JsonLines(options.out, "neurosim-quadratot", 1, how) if options.out else None
     rows = [row for row in kept.rows if row["seed"] < options.seeds] if kept else []
     if missing := sorted(set(range(options.seeds)) - {row["seed"] for row in rows}):

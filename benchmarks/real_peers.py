@@ -59,8 +59,8 @@ class Lagged:
         self._found: list[tuple] = [(np.inf,), (np.inf,)]
         for lag in LAGS:
             for delay in DELAYS:
-                ways = self._ways(commands, lag, delay, spans).sum(1)
-                targets = ((ways * chord, middle[:, :2]), (ways, moved[:, 2:]))
+                distances = self._ways(commands, lag, delay, spans).sum(1)
+                targets = ((distances * chord, middle[:, :2]), (distances, moved[:, 2:]))
                 for kind, (x, y) in enumerate(targets):
                     pull = 1e-4 * len(x) * np.diag((x**2).mean(0) + 1e-12)
                     weights = np.linalg.solve(x.T @ x + pull, x.T @ y)
@@ -136,12 +136,12 @@ class Regressor:
     def predict(self, commands: Array, speed: Array) -> tuple[Array, Array | None]:
         """Return displacements [W, 3], and their standard deviations where they are known."""
         x = (self._x(commands, speed) - self._centre) / self._spread
-        found = self._model(x)
-        found, error = found if isinstance(found, tuple) else (found, None)
-        found = found * self._size + self._mean
+        result = self._model(x)
+        result, error = result if isinstance(result, tuple) else (result, None)
+        result = result * self._size + self._mean
         if self._base is not None:
-            found = found + self._base.predict(commands)
-        return found, None if error is None else error * self._size
+            result = result + self._base.predict(commands)
+        return result, None if error is None else error * self._size
 
 
 def _ridge(x: Array, y: Array, seed: int):
@@ -174,8 +174,8 @@ def _process(x: Array, y: Array, seed: int):
         kernel = ConstantKernel(1.0) * RBF(np.full(x.shape[1], 3.0), (0.3, 300.0))
         kernel += WhiteKernel(0.1, (1e-4, 2.0))
         few, many = order[:FOUND], order[:USED]
-        found = GaussianProcessRegressor(kernel).fit(x[few], own[few]).kernel_
-        models.append(GaussianProcessRegressor(found, optimizer=None).fit(x[many], own[many]))
+        result = GaussianProcessRegressor(kernel).fit(x[few], own[few]).kernel_
+        models.append(GaussianProcessRegressor(result, optimizer=None).fit(x[many], own[many]))
 
     def predict(x: Array) -> tuple[Array, Array]:
         means, errors = zip(*(model.predict(x, return_std=True) for model in models), strict=True)
@@ -192,8 +192,8 @@ class _Networks(nn.Module):
         sizes = (inputs, WIDTH, WIDTH, outputs)
         self.weights = nn.ParameterList()
         for a, b in pairwise(sizes):
-            drawn = torch.randn(NETWORKS, a, b, generator=generator) / a**0.5
-            self.weights += [nn.Parameter(drawn), nn.Parameter(torch.zeros(NETWORKS, 1, b))]
+            random = torch.randn(NETWORKS, a, b, generator=generator) / a**0.5
+            self.weights += [nn.Parameter(random), nn.Parameter(torch.zeros(NETWORKS, 1, b))]
 
     def forward(self, x: Tensor) -> Tensor:
         for k in range(0, len(self.weights), 2):
@@ -213,10 +213,10 @@ def _trained(x: Array, y: Array, seed: int, variance: bool) -> _Networks:
     optimiser = torch.optim.Adam(model.parameters(), 3e-3, weight_decay=1e-4)
 
     def losses(places: Tensor) -> Tensor:
-        found, wanted = model(inputs[places]), targets[places]
+        result, wanted = model(inputs[places]), targets[places]
         if not variance:
-            return (found - wanted).square().mean((1, 2))
-        mean, log = found.chunk(2, 2)
+            return (result - wanted).square().mean((1, 2))
+        mean, log = result.chunk(2, 2)
         log = log.clamp(-8.0, 3.0)
         return ((mean - wanted).square() * (-log).exp() + log).mean((1, 2))
 
@@ -290,15 +290,15 @@ class Pets:
         each, count = PARTICLES // NETWORKS, len(commands)
         poses = np.zeros((NETWORKS, each * count, 3))
         speeds = np.tile(np.nan_to_num(speed), (NETWORKS, each, 1))
-        told = np.tile(commands, (each, 1, 1))
+        commanded = np.tile(commands, (each, 1, 1))
         for begin in range(self._warm, commands.shape[1] - self._steps + 1, self._steps):
-            x = np.stack([self._x(own, told, begin) for own in speeds])
+            x = np.stack([self._x(own, commanded, begin) for own in speeds])
             with torch.no_grad():
                 given = torch.tensor((x - self._centre) / self._spread, dtype=torch.float32)
                 mean, log = self._model(given.clamp(-10.0, 10.0)).chunk(2, 2)
                 noise = torch.randn(mean.shape, generator=generator)
-                drawn = mean + noise * (log.clamp(-8.0, 3.0) / 2.0).exp()
-            moved = drawn.double().numpy() * self._size + self._mean
+                sampled = mean + noise * (log.clamp(-8.0, 3.0) / 2.0).exp()
+            moved = sampled.double().numpy() * self._size + self._mean
             poses, speeds = se2.compose(poses, moved), moved / PETS_STEP
         particles = poses.reshape(NETWORKS * each, count, 3)
         return particles.mean(0), particles

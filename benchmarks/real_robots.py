@@ -174,17 +174,19 @@ def lab(name: str, seconds: float = 150.0) -> Robot:
     for n in range(1, count):
         wander[n] = 0.93 * wander[n - 1] + rng.normal(0, (24.0, 9.0))
     wander *= np.repeat(rng.random(count // 30 + 1) < 0.85, 30)[:count, None]
-    told = np.clip(np.stack([wander[:, 0] - wander[:, 1], wander.sum(1)], 1), -100, 100).round()
+    commanded = np.clip(
+        np.stack([wander[:, 0] - wander[:, 1], wander.sum(1)], 1), -100, 100
+    ).round()
     times = np.tile([1 / 30, 2 / 30, 0.1], (count, 1))
     robot = ZOO[name]
-    starts, ends = robot._poses(np.column_stack([told, np.full(count, 0.1)]), times, rng, True)
+    starts, ends = robot._poses(np.column_stack([commanded, np.full(count, 0.1)]), times, rng, True)
     # It is put back to the middle of the board now and then, between two commands.
     moved, path = se2.between(starts[:, None], ends), [np.zeros((1, 3))]
     for own in moved:
         path.append(se2.compose(path[-1][-1], own))
     poses = np.concatenate(path)
     poses = poses + rng.normal(0, np.take(robot.camera, (0, 0, 1)), poses.shape)
-    commands = np.concatenate([np.repeat(told, 3, axis=0), told[-1:]])
+    commands = np.concatenate([np.repeat(commanded, 3, axis=0), commanded[-1:]])
     return of_logs(robot.names, [log_of("1", np.arange(len(poses)) / 30, commands, poses)])
 
 
@@ -202,7 +204,7 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
 
 def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -> Cut:
     """Return windows of a length (s) that begin so often (s), and are no more than ``most``."""
-    found: list[tuple[Array, Array, Array]] = []
+    results: list[tuple[Array, Array, Array]] = []
     offsets = (np.arange(-round(WARM / STEP), round(length / STEP)) + 0.5) * STEP
     for log, start in logs:
         for begin in np.arange(
@@ -212,9 +214,9 @@ def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -
             ends = log.pose_at(np.array([begin - BEFORE, begin, begin + length]))
             known = begin - BEFORE >= log.pose_time[0]
             speed = se2.between(ends[0], ends[1]) / BEFORE if known else np.full(3, np.nan)
-            found.append((log.commands[place.clip(0)], se2.between(ends[1], ends[2]), speed))
-    found = found[:: -(-len(found) // most)]
-    return Cut(*(np.array(part) for part in zip(*found, strict=True)))
+            results.append((log.commands[place.clip(0)], se2.between(ends[1], ends[2]), speed))
+    results = results[:: -(-len(results) // most)]
+    return Cut(*(np.array(part) for part in zip(*results, strict=True)))
 
 
 def lengths_of(robot: Robot) -> tuple[float, ...]:
@@ -255,15 +257,15 @@ def samples(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tu
         state = simulator.step(state, torch.cat([commands[:, k], lasts], 1))
     state = simulator.over(state)  # the noise begins with the window
     begun = state[:, :3].numpy()
-    drawn = state.repeat(draws, 1)
+    sampled = state.repeat(draws, 1)
     if simulator.members > 1:
-        drawn[:, -1] = simulator.draw_members(len(drawn), generator).to(drawn)
+        sampled[:, -1] = simulator.draw_members(len(sampled), generator).to(sampled)
     for k in range(warm, commands.shape[1]):
         command = torch.cat([commands[:, k], lasts], 1)
         state = simulator.step(state, command)
-        drawn = simulator.step(drawn, command.repeat(draws, 1), generator)
+        sampled = simulator.step(sampled, command.repeat(draws, 1), generator)
     ends = (
-        drawn[:, :3].unflatten(0, (draws, len(commands))).numpy()
+        sampled[:, :3].unflatten(0, (draws, len(commands))).numpy()
         if draws
         else np.zeros((0, len(begun), 3))
     )
@@ -275,9 +277,9 @@ def off(predicted: Array, windows: Cut) -> list[float]:
     return (np.abs(predicted - windows.moved).mean(0) * READABLE).tolist()
 
 
-def held(drawn: Array, windows: Cut) -> list[list[float]]:
+def held(sampled: Array, windows: Cut) -> list[list[float]]:
     """Return percentages within the intervals of :data:`LEVELS` of each output, [3][L]."""
-    ranks = central(drawn, windows.moved)
+    ranks = central(sampled, windows.moved)
     return [[100.0 * float((own <= level).mean()) for level in LEVELS] for own in ranks.T]
 
 
@@ -294,7 +296,7 @@ def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]
     pets = Pets(STEP, warm, seed).fit(*short)
     kinds = ("ridge", "boosting") if quick else ("ridge", "process", "boosting", "ensemble")
     regressors: dict[float, dict[str, Regressor]] = {}
-    found: dict[str, dict[str, dict]] = {}
+    results: dict[str, dict[str, dict]] = {}
     for length in lengths:
         judged = cut(robot.held_out, length, APART, JUDGED)
         own: dict[str, dict] = {"stands still": {"error": off(0.0 * judged.moved, judged)}}
@@ -306,7 +308,7 @@ def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]
             for name, model in regressors[1.0].items():
                 if not name.endswith("+v"):
                     own[name] = {"error": off(_composed(model, judged), judged)}
-            found[f"{length:g}"] = own
+            results[f"{length:g}"] = own
             continue
         learns = cut(earlier, length, EVERY, MOST)
         made = regressors.setdefault(length, {})
@@ -319,10 +321,10 @@ def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]
                     own[name] = {"error": off(mean, judged)}
                     if error is not None:
                         rng = np.random.default_rng(seed)
-                        drawn = mean + error * rng.standard_normal((DRAWS, *mean.shape))
-                        own[name]["coverage"] = held(drawn, judged)
-        found[f"{length:g}"] = own
-    return found
+                        random = mean + error * rng.standard_normal((DRAWS, *mean.shape))
+                        own[name]["coverage"] = held(random, judged)
+        results[f"{length:g}"] = own
+    return results
 
 
 def _composed(model: Regressor, windows: Cut) -> Array:
@@ -342,7 +344,7 @@ def ratios(ours: dict[str, list[float]], peers: dict[str, dict[str, dict]], spee
         ``windows`` and ``free``, each with the best single ``peer``, the ratio ``of peer``, the
         mean ratio ``of each`` output's and length's best peer, and the ``worst`` of these.
     """
-    found, lengths = {}, list(ours)
+    result, lengths = {}, list(ours)
     for part, some in (("windows", lengths[:-1]), ("free", lengths[-1:])):
         names = [
             name
@@ -354,13 +356,13 @@ def ratios(ours: dict[str, list[float]], peers: dict[str, dict[str, dict]], spee
         logs = np.log(own[:, None] / table)  # [lengths, peers, outputs]
         single = logs.mean((0, 2))
         best, each = int(single.argmax()), logs.max(1)
-        found[part] = {
+        result[part] = {
             "peer": names[best],
             "of peer": float(np.exp(single[best])),
             "of each": float(np.exp(each.mean())),
             "worst": float(np.exp(each.max())),
         }
-    return found
+    return result
 
 
 def main() -> None:
@@ -378,7 +380,7 @@ def main() -> None:
         parser.error(f"no robots {', '.join(unknown)}; there are {', '.join(ROBOTS)}")
     torch.set_num_threads(1)
     kept = json.loads(options.peers.read_text()) if options.peers and options.peers.exists() else {}
-    found: dict[str, dict] = {}
+    results: dict[str, dict] = {}
     for name in names:
         robot = ROBOTS[name]()
         key = f"{name}, seed {options.seed}, {'quick' if options.quick else 'full'}"
@@ -393,14 +395,14 @@ def main() -> None:
         for length in lengths_of(robot):
             judged = cut(robot.held_out, length, APART, JUDGED)
             draws = DRAWS // 4 if options.quick else DRAWS
-            mean, drawn = samples(simulator, judged, draws, options.seed)
+            mean, sampled = samples(simulator, judged, draws, options.seed)
             ours[f"{length:g}"] = {
                 "windows": len(judged.moved),
                 "error": off(mean, judged),
-                "coverage": held(drawn, judged),
+                "coverage": held(sampled, judged),
             }
         errors = {length: own["error"] for length, own in ours.items()}
-        found[name] = {
+        results[name] = {
             "rows": len(data.x),
             "seconds": round(seconds, 1),
             "ours": ours,
@@ -409,18 +411,18 @@ def main() -> None:
             "ratios, speeds known": ratios(errors, kept[key], True),
         }
         if not options.json:
-            print(words(name, found[name]), flush=True)
+            print(words(name, results[name]), flush=True)
     if options.json:
-        print(json.dumps(found))
-    elif len(found) > 1:
-        print(summary(found))
+        print(json.dumps(results))
+    elif len(results) > 1:
+        print(summary(results))
 
 
-def words(name: str, found: dict) -> str:
+def words(name: str, result: dict) -> str:
     """Return a robot's table for a person."""
-    lines = [f"{name}: {found['rows']} rows, learned in {found['seconds']:g} s"]
-    for length, own in found["ours"].items():
-        peers = found["peers"][length]
+    lines = [f"{name}: {result['rows']} rows, learned in {result['seconds']:g} s"]
+    for length, own in result["ours"].items():
+        peers = result["peers"][length]
         lines.append(
             f"  {length} s, {own['windows']} windows" + " " * 9 + "dx cm  dy cm dtheta deg"
         )
@@ -428,13 +430,13 @@ def words(name: str, found: dict) -> str:
         for label, one in ordered.items():
             cells = "".join(f"{value:8.2f}" for value in one["error"])
             if "coverage" in one:
-                shares = ("/".join(f"{c:.0f}" for c in output) for output in one["coverage"])
-                cells += "   holds " + ", ".join(shares)
+                fractions = ("/".join(f"{c:.0f}" for c in output) for output in one["coverage"])
+                cells += "   holds " + ", ".join(fractions)
             lines.append(f"    {label:18s}{cells}")
     return "\n".join(lines)
 
 
-def summary(found: dict[str, dict]) -> str:
+def summary(result: dict[str, dict]) -> str:
     """Return the table of all robots: ratios, and how far intervals are off."""
     lines = [
         "",
@@ -442,7 +444,7 @@ def summary(found: dict[str, dict]) -> str:
         f"{'':10s}{'windows':>21s}{'free runs':>21s}{'windows, +v too':>21s}"
         f"{'intervals hold':>18s}{'80 off':>8s}",
     ]
-    for name, one in found.items():
+    for name, one in result.items():
         cells = ""
         for kind, part in (
             ("ratios", "windows"),

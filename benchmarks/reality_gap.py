@@ -94,9 +94,9 @@ def one_seed(folder: Path, calibration: Path, seed: int, options: argparse.Names
             settings = replace(settings, robust=RobustSettings())
         out = folder / f"plan-{seed}-{length}-{kind}"
         how = {"settings": settings, "seed": seed, "keep_all": True}
-        found = evolve(simulator, "nine-rectangles", Plan(slots=length), out=out, **how)
-        for number, plan in enumerate(found):
-            many = f"{out.name}-{number + 1:02d}" if len(found) > 1 else out.name
+        evolved = evolve(simulator, "nine-rectangles", Plan(slots=length), out=out, **how)
+        for number, plan in enumerate(evolved):
+            many = f"{out.name}-{number + 1:02d}" if len(evolved) > 1 else out.name
             controller = out.with_name(many)
             trial = folder / f"trial-{seed}-{length}-{kind}-{number}"
             noise = 1000 * seed + 20 * length + 2 * number + (kind == "robust")

@@ -38,10 +38,10 @@ def main() -> None:
         for name, each in columns.items()
     }
     training = simulator.meta["training"]
-    found = {key: training[key] for key in ("rows", "held_out_rows", "members", "seed")}
-    found["errors"] = errors
+    by_name = {key: training[key] for key in ("rows", "held_out_rows", "members", "seed")}
+    by_name["errors"] = errors
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(by_name))
         return
     print(f"mean absolute errors on {table['rows']} rows, {table['which']}")
     for name, each in errors.items():

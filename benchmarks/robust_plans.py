@@ -2,8 +2,8 @@
 
 In a simulator learned from the reference dataset plans of 10 and 13 commands are evolved twice:
 without noise, and robustly from there. Each is driven many times in the virtual lab, with the
-lab's own variation (placing, slip, caster), and judged by its true path. What a blind plan can do
-at best is bounded by plans that are evolved robustly on from some of these in the lab's own
+lab's own variation (placing, slip, caster), and judged by its true path. What an open-loop plan can
+do at best is bounded by plans that are evolved robustly on from some of these in the lab's own
 physics; these some ("begun with") are told by themselves too.
 Reliability: plans of all qualities (both kinds, and stages on the way), predicted probability
 against what happened, Brier score against always saying the base rate.
@@ -120,11 +120,11 @@ def gather(options: argparse.Namespace) -> list[dict]:
             simulator = learned_from_few(options, number)
         for length in missing:
             began = time.perf_counter()
-            found = one_set(simulator, length, number, options)
-            plans += found
+            result = one_set(simulator, length, number, options)
+            plans += result
             if options.kept:
                 with open(options.kept, "a", encoding="utf-8") as file:
-                    file.write(json.dumps(found) + "\n")
+                    file.write(json.dumps(result) + "\n")
             seconds = time.perf_counter() - began
             say = f"{length} commands, plan {number}: {seconds:.1f} s"
             print(say, file=sys.stderr, flush=True)
@@ -163,15 +163,15 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
     half = replace(robust, robust=RobustSettings(generations=options.robust_generations // 8))
     family = Plan(slots=length)
     start = evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)
-    found = {"without noise": start}
+    result = {"without noise": start}
     for kind, how in (("robust", robust), ("halfway", half)):
-        found[kind] = improved(simulator, start, family, how, seed)
-    found["lesser runs"] = found["without noise"][1:3] + found["robust"][1:3]
+        result[kind] = improved(simulator, start, family, how, seed)
+    result["lesser runs"] = result["without noise"][1:3] + result["robust"][1:3]
     if number % options.bound_every == 0:
-        found["bound"] = bound(found["robust"][:1], length, seed, options)
+        result["bound"] = bound(result["robust"][:1], length, seed, options)
     return [
         {"number": number, **driven(simulator, plan, kind, length, seed, options)}
-        for kind, results in found.items()
+        for kind, results in result.items()
         for plan in (results if kind == "lesser runs" else results[:1])
         if any(plan.commands)
     ]
@@ -203,7 +203,7 @@ def driven(simulator, plan: SavedController, kind, length, seed, options) -> dic
     """Return what was predicted of a plan and what happened to it."""
     given = plan.given
     alone = SavedController(FixedPlan(tuple(given)), np.empty(0), TASK.describe(), TASK.start)
-    said = check(alone, simulator, TASK, draws=2048, seed=seed + 77)
+    prediction = check(alone, simulator, TASK, draws=2048, seed=seed + 77)
     truth = [drive(given, options.lab_seed, 100 * seed + n) for n in range(options.drives)]
     brick = [
         drive_brick(given, options.lab_seed, 100 * seed + n)
@@ -213,8 +213,8 @@ def driven(simulator, plan: SavedController, kind, length, seed, options) -> dic
         "kind": kind,
         "length": length,
         "commands": given,
-        "predicted": said.probability,
-        "members": said.members,
+        "predicted": prediction.probability,
+        "members": prediction.members,
         "completed": int(sum(truth)),
         "drives": len(truth),
         "completed_brick": int(sum(brick)),
@@ -366,15 +366,15 @@ def reliability(plans: list[dict], bins: int = 10) -> dict:
     what happened, 0 or 1 (Brier 1950); the base rate's is that of always saying the mean.
     """
     plans = [plan for plan in plans if plan["kind"] != "bound"]
-    said = np.array([plan["predicted"] for plan in plans])
+    expected = np.array([plan["predicted"] for plan in plans])
     happened = np.array([plan["completed"] / plan["drives"] for plan in plans])
     base = happened.mean()
-    place = np.minimum((said * bins).astype(int), bins - 1)
+    place = np.minimum((expected * bins).astype(int), bins - 1)
     diagram = [
         {
             "from": low / bins,
             "plans": int((place == low).sum()),
-            "predicted": float(said[place == low].mean()),
+            "predicted": float(expected[place == low].mean()),
             "completed": float(happened[place == low].mean()),
         }
         for low in range(bins)
@@ -382,7 +382,7 @@ def reliability(plans: list[dict], bins: int = 10) -> dict:
     ]
     return {
         "plans": len(plans),
-        "brier": float(np.mean(happened * (1 - said) ** 2 + (1 - happened) * said**2)),
+        "brier": float(np.mean(happened * (1 - expected) ** 2 + (1 - happened) * expected**2)),
         "brier_base_rate": float(base * (1 - base)),
         "base_rate": float(base),
         "diagram": diagram,

@@ -48,10 +48,10 @@ def main() -> None:
     if options.quick:
         options.robots, options.poses = options.robots[:1], 300
     rng = np.random.default_rng(0)
-    drawn = [random_arena(rng, inner=2) for _ in range(30)]
+    random = [random_arena(rng, inner=2) for _ in range(30)]
     places = {
         "the paper's arena": [paper_arena()],
-        "within 35 mm of boards": [arena for arena in drawn if arena.inner],
+        "within 35 mm of boards": [arena for arena in random if arena.inner],
     }
     rows = [row for place, arenas in places.items() for row in compare(place, arenas, options)]
     if options.json:
@@ -77,8 +77,8 @@ def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> lis
             if arena.inner:
                 poses = poses[to_walls(arena, poses)[len(arena.outline) :].min(axis=0) < NEAR]
             truth = readings(params, arena, poses)
-            ways, near = combined(sensors, arena, poses)
-            off.append({name: found - truth for name, found in ways.items()})
+            distances, near = combined(sensors, arena, poses)
+            off.append({name: value - truth for name, value in distances.items()})
             two.append(near)
     both = np.concatenate(two)
     rows = []
@@ -95,11 +95,11 @@ def readings(params: KheperaParams, arena: Place, poses: np.ndarray) -> np.ndarr
     rng = np.random.default_rng(0)
     walls, cylinders = arena.surfaces, arena.cylinders
     circuit = params.angle, params.reach, params.threshold, params.offset
-    found = [
+    result = [
         physics.proximity(np.array(pose), *circuit, (0.0, 0.0), 0.0, walls, cylinders, WHITE, rng)
         for pose in poses
     ]
-    return np.array(found) / 1023
+    return np.array(result) / 1023
 
 
 def tables(params: KheperaParams) -> SensorTable:
@@ -137,7 +137,7 @@ def combined(
     seen = np.stack([only.sense(state).numpy() for only in alone])
     gaps = np.concatenate([to_walls(arena, poses), to_obstacles(arena, poses)])
     nearest = gaps.argmin(axis=0)
-    ways = {
+    distances = {
         "the sum": whole.sense(state).numpy(),
         "brightest": seen.max(axis=0),
         "nearest": seen[nearest, np.arange(len(poses))],
@@ -145,15 +145,15 @@ def combined(
     first, count = len(arena.outline), len(walls)
     boards = gaps[first:count].reshape(-1, 4, len(poses)).min(axis=1)
     objects = np.concatenate([gaps[:first], boards, gaps[count:]])
-    return ways, (objects < NEAR).sum(axis=0) >= 2
+    return distances, (objects < NEAR).sum(axis=0) >= 2
 
 
 def to_walls(arena: Place, poses: np.ndarray) -> np.ndarray:
     """Return the distance (m) from the rim to every wall, [W, N]."""
     ends = arena.walls[:, None]
     along = ends[..., 2:] - ends[..., :2]
-    share = ((poses[:, :2] - ends[..., :2]) * along).sum(-1) / (along**2).sum(-1)
-    point = ends[..., :2] + np.clip(share, 0.0, 1.0)[..., None] * along
+    fraction = ((poses[:, :2] - ends[..., :2]) * along).sum(-1) / (along**2).sum(-1)
+    point = ends[..., :2] + np.clip(fraction, 0.0, 1.0)[..., None] * along
     return np.linalg.norm(poses[:, :2] - point, axis=-1) - RADIUS
 
 

@@ -103,12 +103,12 @@ def main() -> None:
             (made / "whole").touch()
         numbers = range(options.cases) if options.only is None else [options.only]
         for number in numbers:
-            found = case(made, Path(scratch) / "work", number, options)
-            results.append(found)
+            result = case(made, Path(scratch) / "work", number, options)
+            results.append(result)
             if not options.json:
-                faults = "".join(f"\n    {fault}" for fault in found["faults"])
-                ended = f"{found['ended']} in {found['took']:.1f} s"
-                print(f"{number}: {found['what']}: {ended}{faults}", flush=True)
+                faults = "".join(f"\n    {fault}" for fault in result["faults"])
+                ended = f"{result['ended']} in {result['took']:.1f} s"
+                print(f"{number}: {result['what']}: {ended}{faults}", flush=True)
     faults = [one for one in results if one["faults"]]
     took = sorted(one["took"] for one in results)
     ended = dict(Counter(one["ended"].split(" ")[0] for one in results))
@@ -174,7 +174,7 @@ def asked_to_end(
             process.send_signal(number)
             time.sleep(rng.uniform(0.0, 0.4) if burst > 1 else 0.0)
         try:
-            _, said = process.communicate(timeout=100.0)
+            _, stderr = process.communicate(timeout=100.0)
         except subprocess.TimeoutExpired:
             process.kill()
             return what, "hung", 100.0, ["did not end within 100 s"]
@@ -182,23 +182,23 @@ def asked_to_end(
     time.sleep(1.0)
     if not stands():
         return what, "interrupted", took, ["the robot drives on"]
-    lines = [line for line in said.splitlines() if line.startswith("neurosim: ")]
+    lines = [line for line in stderr.splitlines() if line.startswith("neurosim: ")]
     if code == 0 and (done or not lines):
         return what, "done", 0.0 if done else took, []
     if done:
-        fine = "nothing to resume" in said
-        return what, "done", 0.0, [] if fine else [f"ended by itself, code {code}: {said[-300:]}"]
-    if code == -number or "init_import_site" in said:
+        fine = "nothing to resume" in stderr
+        return what, "done", 0.0, [] if fine else [f"ended by itself, code {code}: {stderr[-300:]}"]
+    if code == -number or "init_import_site" in stderr:
         return what, "before", took, []
     faults = []
     if code != 128 + number:
         faults.append(f"code {code}")
     if sum("interrupted" in line for line in lines) != 1:
         faults.append(f"{len(lines)} lines")
-    if any(word in said for word in ("Traceback", "Exception ignored", "Fatal", "Warning")):
+    if any(word in stderr for word in ("Traceback", "Exception ignored", "Fatal", "Warning")):
         faults.append("a traceback")
     if faults:
-        faults[-1] += f": {said[-1500:]}"
+        faults[-1] += f": {stderr[-1500:]}"
     if took > patience:
         faults.append(f"took {took:.1f} s to end")
     return what, "interrupted", took, faults
@@ -239,20 +239,20 @@ def unreadable(work: Path) -> list[str]:
     from neurosim.base.errors import UserError
     from neurosim.reports import write_report
 
-    found = []
+    results = []
     for path in work.rglob("*.json"):
         try:
             json.loads(path.read_text())
         except ValueError as error:
-            found.append(f"{path.relative_to(work)}: {error}")
+            results.append(f"{path.relative_to(work)}: {error}")
     for path in work.glob("out*"):
         if any((path / name).exists() for name in ("recording.json", "controller.json",
                                                    "simulator.json", "dataset.json")):  # fmt: skip
             try:
                 write_report([path], work / "read.html")
             except UserError as error:
-                found.append(str(error))
-    return found
+                results.append(str(error))
+    return results
 
 
 if __name__ == "__main__":

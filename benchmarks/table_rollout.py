@@ -59,11 +59,11 @@ def main() -> None:
             simulator = TableSimulator(table, noise=noise)
             rate = ours(simulator, batch, repeats)
             rows.append({"name": f"ours, noise {noise}", "batch": batch, "steps_per_second": rate})
-        found = pytorch(simulator, batch, 5 if options.quick else 25)
-        rows.append({"name": "PyTorch", "batch": batch, "steps_per_second": found})
-        found = kheperax(batch, 1 if options.quick else 3)
-        if found is not None:
-            rows.append({"name": "Kheperax (JAX)", "batch": batch, "steps_per_second": found})
+        result = pytorch(simulator, batch, 5 if options.quick else 25)
+        rows.append({"name": "PyTorch", "batch": batch, "steps_per_second": result})
+        result = kheperax(batch, 1 if options.quick else 3)
+        if result is not None:
+            rows.append({"name": "Kheperax (JAX)", "batch": batch, "steps_per_second": result})
     seconds = evolution(TableSimulator(table), 20 if options.quick else 200)
     if options.json:
         machine = {"cores": os.cpu_count(), "numba_threads": numba.get_num_threads()}

@@ -136,9 +136,9 @@ def main() -> None:
     parser.add_argument("--recording", type=Path, help="compare this recording's poses instead")
     options = parser.parse_args()
     if options.recording is not None:
-        told = rate_recording(options.recording)
-        shown = ", ".join(f"{name} {value:.3f}" for name, value in told.items())
-        print(json.dumps(told) if options.json else shown)
+        commanded = rate_recording(options.recording)
+        shown = ", ".join(f"{name} {value:.3f}" for name, value in commanded.items())
+        print(json.dumps(commanded) if options.json else shown)
         return
     if options.quick:
         options.sizes, options.clips = "640x480", 1
@@ -246,9 +246,9 @@ def rate(seen: list[tuple[Frame, np.ndarray | None]]) -> dict:
         angle.append(abs((miss[2] + math.pi) % (2 * math.pi) - math.pi))
         visible.append(frame.visible.min())
     off, angle, visible = np.array(off), np.array(angle), np.array(visible)
-    found, whole = np.isfinite(off), visible > 0.99
-    good = found & whole
-    wrong = found & ((visible < 0.1) | (off > FALSE[0]) | (angle > FALSE[1]))
+    result, whole = np.isfinite(off), visible > 0.99
+    good = result & whole
+    wrong = result & ((visible < 0.1) | (off > FALSE[0]) | (angle > FALSE[1]))
     rms = [float(np.sqrt(np.mean(np.square(e[good])))) if good.any() else math.nan
            for e in (off, angle)]  # fmt: skip
     return {
@@ -257,9 +257,9 @@ def rate(seen: list[tuple[Frame, np.ndarray | None]]) -> dict:
         "position_mm": 1e3 * rms[0],
         "worst_mm": 1e3 * float(off[good].max(initial=0.0)),
         "heading_deg": math.degrees(rms[1]),
-        "tracked": float(found[whole].mean()) if whole.any() else math.nan,
+        "tracked": float(result[whole].mean()) if whole.any() else math.nan,
         "false": int(wrong.sum()),
-        "swapped": int((found & (angle > math.pi / 2)).sum()),
+        "swapped": int((result & (angle > math.pi / 2)).sum()),
     }
 
 

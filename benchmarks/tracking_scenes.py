@@ -159,7 +159,7 @@ class Clip:
         self.carried = "pair" if tag is None else f"{tag.dictionary}-{tag.number}-{side}"
         self._tag_side = None if tag is None else side
         self._texture = robot_texture(scenario.shape, tag, side)
-        self._way = way(scenario, rng, seconds)
+        self._path = path_of(scenario, rng, seconds)
         if scenario.others:
             self._litter(rng)
         self._noise = scenario.noise * rng.standard_normal(
@@ -181,10 +181,10 @@ class Clip:
 
     def _frame(self, index: int) -> Frame:
         time, scenario = index / FPS, self.scenario
-        pose = self._way(time)
+        pose = self._path(time)
         moments = 1 if scenario.exposure < 0.002 else max(5, round(scenario.exposure / 0.002))
         spread = (np.arange(moments) + 0.5) / moments - 0.5
-        poses = [self._way(time + scenario.exposure * share) for share in spread]
+        poses = [self._path(time + scenario.exposure * fraction) for fraction in spread]
         picture = self._ground.copy()
         if scenario.others:
             self._other_robot(picture, time)
@@ -300,9 +300,9 @@ class Clip:
     def _lamp(self, time: float) -> NDArray:
         """Return the light [H, W] of a lamp to one side: 1 there, 1 / gradient opposite."""
         angle = 2.0 * math.pi * (self.scenario.lamp * time) + 0.4
-        way = math.cos(angle) * self._across + math.sin(angle) * self._down
-        share = 0.5 + 0.5 * way / (abs(math.cos(angle)) + abs(math.sin(angle)))
-        return cv2.resize(self.scenario.gradient ** (share - 1.0), self.size)
+        distance = math.cos(angle) * self._across + math.sin(angle) * self._down
+        fraction = 0.5 + 0.5 * distance / (abs(math.cos(angle)) + abs(math.sin(angle)))
+        return cv2.resize(self.scenario.gradient ** (fraction - 1.0), self.size)
 
     # Truth
 
@@ -319,13 +319,13 @@ class Clip:
         else:
             grid = self._tag_side * (np.arange(12) / 11 - 0.5)
             parts = 2 * [TAG_PLACE + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)]
-        shares = []
+        fractions = []
         for part in parts:
             pixels = np.round(self.optics.project(_on_robot(pose, part))).astype(int)
             inside = ((pixels >= 0) & (pixels < self.size)).all(axis=1)
             u, v = pixels[inside].T
-            shares.append((1.0 - mask[v, u]).sum() / len(part))
-        return np.array(shares)
+            fractions.append((1.0 - mask[v, u]).sum() / len(part))
+        return np.array(fractions)
 
 
 #: From and until when (s), over what, and what.
@@ -338,7 +338,7 @@ _COVERS = (
 )
 
 
-def way(scenario: Scenario, rng: np.random.Generator, seconds: float):
+def path_of(scenario: Scenario, rng: np.random.Generator, seconds: float):
     """Return a function from time (s) to pose [3]: commands as a recording has them, smoothed.
 
     The wheels follow a command within a tenth of a second, as the lab's do; commands that would
@@ -436,13 +436,13 @@ def shapes_texture(shapes: list[tuple]) -> NDArray:
 
 def _stroke(picture, mask, start, end, breadth, colour) -> None:
     """Draw a thick straight line with round ends, antialiased, and add it to the mask."""
-    drawn = np.zeros(mask.shape, np.uint8)
+    sampled = np.zeros(mask.shape, np.uint8)
     fixed = [tuple(int(c) for c in np.round(np.asarray(p) * 16)) for p in (start, end)]
-    cv2.line(drawn, *fixed, 255, max(1, round(breadth)), cv2.LINE_AA, 4)
-    share = drawn.astype(np.float32)[..., None] / 255.0
-    picture *= 1.0 - share
-    picture += share * np.array(colour, np.float32)
-    np.maximum(mask, share[..., 0], out=mask)
+    cv2.line(sampled, *fixed, 255, max(1, round(breadth)), cv2.LINE_AA, 4)
+    fraction = sampled.astype(np.float32)[..., None] / 255.0
+    picture *= 1.0 - fraction
+    picture += fraction * np.array(colour, np.float32)
+    np.maximum(mask, fraction[..., 0], out=mask)
 
 
 def _at(name: str) -> tuple[float, float]:

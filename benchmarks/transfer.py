@@ -88,15 +88,15 @@ def main() -> None:
             for robot in options.runs:
                 rows.append(run(kind, robot, sampled, options))
                 if not options.json:
-                    told(rows[-1])
+                    describe_row(rows[-1])
     if options.json:
         print(json.dumps({"baud": options.baud, "rows": rows}))
         return
     for kind in options.tables:
-        found = [row for row in rows if row["tables"] == kind]
-        print(f"{kind}, medians of {len(found)} runs, the least and the most of them")
+        result = [row for row in rows if row["tables"] == kind]
+        print(f"{kind}, medians of {len(result)} runs, the least and the most of them")
         for of in (statistics.median, min, max):
-            told({name: typical([row[name] for row in found], of) for name in found[0]})
+            describe_row({name: typical([row[name] for row in result], of) for name in result[0]})
 
 
 def run(
@@ -269,7 +269,7 @@ def typical(values: list[Any], of: Callable[[list[Any]], Any]) -> Any:
     return values[0] if isinstance(values[0], str) else of(values)
 
 
-def told(row: dict[str, Any]) -> None:
+def describe_row(row: dict[str, Any]) -> None:
     after = ""
     if "robot_after" in row:
         after = (

@@ -82,27 +82,27 @@ def main() -> None:
         options.floors, options.commands, options.fresh = 1, 300, 150
         options.runs, options.drives = 2, 10
     torch.set_num_threads(1)
-    found = []
+    results = []
     for number, name in enumerate(list(FLOORS)[: options.floors]):
         began = time.monotonic()
-        found.append(one_floor(number, name, options))
+        results.append(one_floor(number, name, options))
         if not options.json:
-            print(line(found[-1]), flush=True)
+            print(line(results[-1]), flush=True)
         print(f"{name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
     if options.json:
-        print(json.dumps({"settings": vars(options), "floors": found}))
+        print(json.dumps({"settings": vars(options), "floors": results}))
         return
-    for kind in found[0]["plans"]:
-        done = sum(one["plans"][kind]["completed"] for one in found)
-        print(f"{kind:16} {done} of {options.drives * len(found)} drives completed")
+    for kind in results[0]["plans"]:
+        done = sum(one["plans"][kind]["completed"] for one in results)
+        print(f"{kind:16} {done} of {options.drives * len(results)} drives completed")
 
 
 def line(one: dict[str, Any]) -> str:
-    said = "; ".join(
-        f"{kind} {plan['completed']} (said {100 * plan['said']:.0f} %)"
+    plans = "; ".join(
+        f"{kind} {plan['completed']} (predicted {100 * plan['predicted']:.0f} %)"
         for kind, plan in one["plans"].items()
     )
-    return f"{one['floor']}, {one['trials']} trials: completed {said}"
+    return f"{one['floor']}, {one['trials']} trials: completed {plans}"
 
 
 def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, Any]:
@@ -134,7 +134,7 @@ def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, 
         "L3": [cycle["L3"] for cycle in report["cycles"] if "L3" in cycle],
         "plans": {
             kind: {
-                "said": plan.predicted["probability"],
+                "predicted": plan.predicted["probability"],
                 "completed": completed(plan, robot, number, reality.changes, options.drives),
                 "commands": plan.commands,
             }

@@ -195,8 +195,8 @@ def lagged(robot: Robot, drives: Drives) -> Predict:
     def sampled(x: Array) -> tuple[Array, Array]:
         """Return commands [N, 1 + K, C] in steps, the one before first, and the steps' spans."""
         steps = np.arange(math.ceil(x[:, -1].max() / STEP))
-        before, told = x[:, None, :count], x[:, None, count : 2 * count]
-        commands = np.concatenate([before, told.repeat(len(steps), 1)], 1)
+        before, commanded = x[:, None, :count], x[:, None, count : 2 * count]
+        commands = np.concatenate([before, commanded.repeat(len(steps), 1)], 1)
         return commands, np.clip(x[:, -1:] - STEP * steps, 0.0, STEP)
 
     model = Lagged(robot.kind == CAR, STEP, STEP)
@@ -257,8 +257,8 @@ class Perceptrons:
         for step in range(steps):
             batch = seen
             if seen.shape[1] > self.BATCH:
-                drawn = (self.MEMBERS, self.BATCH)
-                batch = torch.randint(seen.shape[1], drawn, generator=self._generator)
+                sampled = (self.MEMBERS, self.BATCH)
+                batch = torch.randint(seen.shape[1], sampled, generator=self._generator)
                 batch = seen.gather(1, batch)
             optimiser.zero_grad()
             error = self._forward(weights, inputs[batch]) - outputs[batch]
@@ -280,8 +280,8 @@ class Perceptrons:
         """Return the outputs [N, 3] of inputs [N, I]."""
         with torch.no_grad():
             inputs = self._of(x, self._x).expand(self.MEMBERS, -1, -1)
-            found = self._forward(self._weights, inputs).mean(0).double().numpy()
-        return found * self._y[1] + self._y[0]
+            result = self._forward(self._weights, inputs).mean(0).double().numpy()
+        return result * self._y[1] + self._y[0]
 
     @staticmethod
     def _of(values: Array, standard: tuple[Array, Array]) -> torch.Tensor:
@@ -290,8 +290,8 @@ class Perceptrons:
     def _begin(self, sizes: tuple[int, ...]) -> list[torch.Tensor]:
         weights = []
         for width, out in pairwise(sizes):
-            drawn = torch.randn(self.MEMBERS, width, out, generator=self._generator)
-            weights += [drawn / width**0.5, torch.zeros(self.MEMBERS, 1, out)]
+            random = torch.randn(self.MEMBERS, width, out, generator=self._generator)
+            weights += [random / width**0.5, torch.zeros(self.MEMBERS, 1, out)]
         return [weight.requires_grad_() for weight in weights]
 
     @staticmethod
@@ -329,12 +329,12 @@ class Each:
 
 def makers() -> dict[str, Callable[[int], object]]:
     """Return what makes regressors of all outputs from a seed, by learners' names."""
-    found = regressors()
+    result = regressors()
     return {
         "linear": partial(Each, Linear),
-        "forest": partial(Each, found["random forest"]),
-        "boosting": partial(Each, found["gradient boosting"]),
-        "process": partial(Each, found["Gaussian process"]),
+        "forest": partial(Each, result["random forest"]),
+        "boosting": partial(Each, result["gradient boosting"]),
+        "process": partial(Each, result["Gaussian process"]),
         "perceptrons": Perceptrons,
     }
 
@@ -466,16 +466,16 @@ def measure(
     }
 
 
-def compare(found: dict[str, dict]) -> str | None:
+def compare(computed: dict[str, dict]) -> str | None:
     """Add ratios to the best peer at each output; return the peer that is best in all three."""
-    peers = [name for name in found if name in PEERS]
+    peers = [name for name in computed if name in PEERS]
     if not peers:
         return None
-    least = np.min([found[name]["error"] for name in peers], axis=0)
-    for result in found.values():
+    least = np.min([computed[name]["error"] for name in peers], axis=0)
+    for result in computed.values():
         result["ratios"] = (np.array(result["error"]) / least).tolist()
         result["ratio"] = geometric(result["ratios"])
-    return min(peers, key=lambda name: found[name]["ratio"])
+    return min(peers, key=lambda name: computed[name]["ratio"])
 
 
 def geometric(values: list[float]) -> float:
@@ -589,10 +589,10 @@ def main() -> None:
             count = min(size, case.most or size)
             if count < size and any(count <= other < size for other in sizes):
                 continue
-            found = measure(name, case, count, options, known)
-            if not found:
+            computed = measure(name, case, count, options, known)
+            if not computed:
                 continue
-            robots[name] = {"rows": count, "best_peer": compare(found), "learners": found}
+            robots[name] = {"rows": count, "best_peer": compare(computed), "learners": computed}
             spent = time.perf_counter() - began
             print(f"{spent:7.0f} s: {name}, {count} rows", file=sys.stderr, flush=True)
         total = summary(robots)

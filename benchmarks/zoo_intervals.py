@@ -75,11 +75,11 @@ def main() -> None:
         print("percent within the intervals of 50/80/95 percent")
         heads = ("dx", "dy", "dtheta", "x, y after ten", "heading")
         print(f"{'':32s}" + "".join(f"{head:>16s}" for head in heads))
-    known, found = Known(options.kept), {}
+    known, result = Known(options.kept), {}
     cases = [(name, name, of_zoo) for name in zoo]
     cases += [(f"log of {name}", name, of_log) for name in real]
     for count in map(int, listed(options.rows)):
-        found[count] = {}
+        result[count] = {}
         for label, name, measured in cases:
             runs = []
             for seed in range(options.seeds):
@@ -88,15 +88,15 @@ def main() -> None:
                 if run is None:
                     known.put(key, run := measured(name, count, seed))
                 runs.append(run)
-            found[count][label] = means(runs)
+            result[count][label] = means(runs)
             if not options.json:
-                show(f"{label}, {count}", found[count][label])
-        found[count]["mean"] = means(list(found[count].values()))
+                show(f"{label}, {count}", result[count][label])
+        result[count]["mean"] = means(list(result[count].values()))
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(result))
         return
     print("means over robots and seeds")
-    for count, table in found.items():
+    for count, table in result.items():
         show(f"{count} rows", table["mean"])
 
 
@@ -113,10 +113,10 @@ def means(runs: list[dict[str, list]]) -> dict[str, list]:
     }
 
 
-def show(label: str, found: dict[str, list]) -> None:
+def show(label: str, result: dict[str, list]) -> None:
     """Print the fractions of each kind of commands."""
-    for kind, shares in found.items():
-        cells = ("/".join(f"{100 * share:.0f}" for share in row) for row in shares)
+    for kind, fractions in result.items():
+        cells = ("/".join(f"{100 * fraction:.0f}" for fraction in row) for row in fractions)
         print(f"{label + ', ' + kind:32s}" + "".join(f"{c:>16s}" for c in cells), flush=True)
 
 
@@ -137,12 +137,12 @@ def of_log(name: str, count: int, seed: int) -> dict[str, list]:
         return {}
     start = int(np.random.default_rng([seed, 3]).integers(len(data.x) - count + 1))
     simulator = learn(data.part(slice(start, start + count)), seed)
-    shares = []
+    fractions = []
     for length in logs.lengths_of(robot):
         windows = logs.cut(robot.held_out, length, logs.APART, WINDOWS)
-        drawn = logs.samples(simulator, windows, OF_WINDOWS, seed)[1]
-        shares.append(_shares(central(drawn, windows.moved).T))
-    return {"windows": np.mean(shares, axis=0).tolist()}
+        sampled = logs.samples(simulator, windows, OF_WINDOWS, seed)[1]
+        fractions.append(_shares(central(sampled, windows.moved).T))
+    return {"windows": np.mean(fractions, axis=0).tolist()}
 
 
 def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
@@ -151,17 +151,17 @@ def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
     drives = rows(robot, count, seed)
     x, y = torch.tensor(drives.x), torch.tensor(drives.y)
     simulator = learn(TrainingData(robot.inputs, x, y, poses_within(drives)), seed)
-    found = {}
+    results = {}
     for number, (kind, commands) in enumerate(KINDS.items()):
         rng = np.random.default_rng([seed, number, 5])
         fresh = robot.drive(commands(robot, COMMANDS, rng), 1000 + seed)
         generator = torch.Generator().manual_seed(seed)
         given = simulator.chained(torch.tensor(fresh.x))
-        drawn = draw_displacements(simulator, given, DRAWS, generator).numpy()
-        single = _shares(central(drawn, fresh.y).T)
-        found[kind] = np.concatenate([single, _after_ten(simulator, given, fresh, generator)])
-        found[f"{kind}, parts"] = _of_parts(simulator, given, fresh, rng, generator)
-    return {kind: shares.tolist() for kind, shares in found.items()}
+        sampled = draw_displacements(simulator, given, DRAWS, generator).numpy()
+        single = _shares(central(sampled, fresh.y).T)
+        results[kind] = np.concatenate([single, _after_ten(simulator, given, fresh, generator)])
+        results[f"{kind}, parts"] = _of_parts(simulator, given, fresh, rng, generator)
+    return {kind: fractions.tolist() for kind, fractions in results.items()}
 
 
 def _shares(ranks: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -182,8 +182,8 @@ def _of_parts(
     time, moved = fresh.times[every, which], fresh.poses[every, which]
     cut = given.clone()
     cut[:, simulator.columns.duration] *= torch.tensor(time / fresh.x[:, -1])
-    drawn = draw_displacements(simulator, cut, DRAWS, generator).numpy()
-    return _shares(central(drawn, moved).T)
+    sampled = draw_displacements(simulator, cut, DRAWS, generator).numpy()
+    return _shares(central(sampled, moved).T)
 
 
 def _after_ten(
@@ -191,19 +191,19 @@ def _after_ten(
 ) -> NDArray[np.float64]:
     """Return fractions [2, L] of positions and headings after ten commands in a row."""
     count = len(given) // ROW
-    drawn = torch.zeros(DRAWS * count, 3, dtype=torch.float64)
+    sampled = torch.zeros(DRAWS * count, 3, dtype=torch.float64)
     actual = torch.zeros(count, 3, dtype=torch.float64)
     member = torch.arange(DRAWS) % simulator.members
     assert simulator.noise is not None
-    z = simulator.noise.draw(len(drawn), ROW, generator)
+    z = simulator.noise.draw(len(sampled), ROW, generator)
     for step in range(ROW):
         x = given[step::ROW][:count]
         mean = torch.stack([simulator.displacement_of(x, m) for m in range(simulator.members)])
         means = mean[member].flatten(0, 1)
         moved = simulator.disturbed(x.repeat(DRAWS, 1), means, z[:, step])
-        drawn = se2.compose(drawn, moved)
+        sampled = se2.compose(sampled, moved)
         actual = se2.compose(actual, torch.tensor(fresh.y[step::ROW][:count]))
-    poses, ends = drawn.unflatten(0, (DRAWS, count)).numpy(), actual.numpy()
+    poses, ends = sampled.unflatten(0, (DRAWS, count)).numpy(), actual.numpy()
     heading = central(poses[..., 2:], ends[:, 2:])[:, 0]
     return _shares(np.stack([region(poses[..., :2], ends[:, :2]), heading]))
 

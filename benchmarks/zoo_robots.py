@@ -215,10 +215,10 @@ def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, sli
                 y += h * (v * math.sin(middle) + side * math.cos(middle))
                 theta += w * h
             elapsed = times[i, k]
-            share = elapsed / times[i, -1]
-            poses[i, k, 0] = x + kicks[i, 0] * share
-            poses[i, k, 1] = y + kicks[i, 1] * share
-            poses[i, k, 2] = theta + kicks[i, 2] * share
+            fraction = elapsed / times[i, -1]
+            poses[i, k, 0] = x + kicks[i, 0] * fraction
+            poses[i, k, 1] = y + kicks[i, 1] * fraction
+            poses[i, k, 2] = theta + kicks[i, 2] * fraction
         x, y, theta = poses[i, -1, 0], poses[i, -1, 1], poses[i, -1, 2]
         began += elapsed
     return starts, poses
@@ -226,10 +226,10 @@ def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, sli
 
 def instants(durations: Array, rng: np.random.Generator) -> Array:
     """Return when the camera looks within commands, [N, LOOKS] s; the last is the end."""
-    share = (np.arange(LOOKS - 1) + rng.uniform(size=(len(durations), LOOKS - 1))) / (LOOKS - 1)
+    fraction = (np.arange(LOOKS - 1) + rng.uniform(size=(len(durations), LOOKS - 1))) / (LOOKS - 1)
     # Half of them at the beginning, where the speeds change.
-    early = np.minimum(0.5, durations)[:, None] * share
-    times = np.where(np.arange(LOOKS - 1) % 2 == 0, early, durations[:, None] * share)
+    early = np.minimum(0.5, durations)[:, None] * fraction
+    times = np.where(np.arange(LOOKS - 1) % 2 == 0, early, durations[:, None] * fraction)
     times = np.sort(np.ceil(times / FRAME) * FRAME, axis=1)
     times = np.minimum(times, durations[:, None] - 1e-3)
     return np.column_stack([times, durations])
@@ -248,11 +248,11 @@ def seen(
 
 
 def random_commands(
-    robot: Robot, count: int, rng: np.random.Generator, share: float = 1.0
+    robot: Robot, count: int, rng: np.random.Generator, fraction: float = 1.0
 ) -> Array:
     """Return commands [count, C + 1]: one in twenty stops, the others uniform, 0.5 to 3 s."""
     largest = np.array(robot.largest)
-    driven = rng.uniform(-share, share, (count, len(largest))) * largest
+    driven = rng.uniform(-fraction, fraction, (count, len(largest))) * largest
     if robot.kind == DIFFERENTIAL:
         straight = rng.uniform(size=count) < 0.15
         driven[straight, 1] = driven[straight, 0]

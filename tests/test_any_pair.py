@@ -91,7 +91,7 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
     assert np.isfinite(values).all()
     assert np.array_equal(values, fitness(genes.numpy()))
     assert torch.equal(fitness(genes), torch.from_numpy(values))
-    found = ns.evolve(
+    evolved = ns.evolve(
         sim,
         goal,
         family,
@@ -100,11 +100,11 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
         seed=3,
         progress=False,
     )
-    assert 0 <= found[0].predicted["probability"] <= 1
-    assert len(found[0].evolution["history"]["best"]) == 2
-    trajectory = ns.rollout(sim, found[0], task=goal, samples=3)
+    assert 0 <= evolved[0].predicted["probability"] <= 1
+    assert len(evolved[0].evolution["history"]["best"]) == 2
+    trajectory = ns.rollout(sim, evolved[0], task=goal, samples=3)
     assert trajectory.poses.shape[0] == 3
-    checked = ns.check(found[0], sim, goal, draws=16)
+    checked = ns.check(evolved[0], sim, goal, draws=16)
     assert 0 <= checked.probability <= 1
 
 
@@ -142,10 +142,10 @@ def test_a_task_of_ones_own_is_made_robust():
     sim, goal, family = combined("motion-network", "plan", "far")
     robust = RobustSettings(generations=2, draws=3, refresh=1, selection_draws=8)
     settings = default_settings(family, goal, runs=2, generations=2, robust=robust, final_draws=16)
-    found = ns.evolve(sim, goal, family, settings=settings, seed=1, progress=False)
-    assert len(found) == 2
-    assert found[0].predicted["probability"] >= found[1].predicted["probability"]
-    assert len(found[0].evolution["history"]["robust_best"]) == 2
+    evolved = ns.evolve(sim, goal, family, settings=settings, seed=1, progress=False)
+    assert len(evolved) == 2
+    assert evolved[0].predicted["probability"] >= evolved[1].predicted["probability"]
+    assert len(evolved[0].evolution["history"]["robust_best"]) == 2
 
 
 def test_what_does_not_fit_is_refused():

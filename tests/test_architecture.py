@@ -38,12 +38,12 @@ LAZY = re.compile(r"((?:neurosim|tracking)(?:\.\w+)*):[\w.]+")
 
 def modules_in(root: Path) -> dict[str, Path]:
     """Return the file of every module, by dotted name."""
-    found = {}
+    results = {}
     for folder in ("neurosim", "tracking"):
         for path in sorted((root / folder).rglob("*.py")):
             name = ".".join(path.relative_to(root).with_suffix("").parts)
-            found[name.removesuffix(".__init__")] = path
-    return found
+            results[name.removesuffix(".__init__")] = path
+    return results
 
 
 def package_of(module: str) -> str:
@@ -66,7 +66,7 @@ def imports_of(source: str) -> set[str]:
             each = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name in MODULES else node.module for name in each}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            names |= {found[1]} if (found := LAZY.fullmatch(node.value)) else set()
+            names |= {result[1]} if (result := LAZY.fullmatch(node.value)) else set()
     return names & MODULES.keys()
 
 

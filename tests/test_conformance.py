@@ -289,8 +289,8 @@ class OneAtATime(Task):
 
 class Relative(Task):
     def fitness(self, record):
-        found = super().fitness(record)
-        return found - found.mean()
+        result = super().fitness(record)
+        return result - result.mean()
 
 
 class Nameless(Task):

@@ -146,9 +146,9 @@ def test_examples_run(name, made, tmp_path, monkeypatch):
     known |= {"Path": Path, "__name__": "examples"}
     text = inspect.getdoc(getattr(ns, name))
     examples = doctest.DocTestParser().get_doctest(text, known, name, None, 0)
-    found = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(examples)
-    assert found.attempted > 0
-    assert found.failed == 0
+    rolled_out = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(examples)
+    assert rolled_out.attempted > 0
+    assert rolled_out.failed == 0
 
 
 @pytest.fixture(scope="module")
@@ -187,8 +187,8 @@ def test_networks_are_evolved_for_the_distance_to_a_path():
     settings = default_settings(family, task, generations=25)
     genetic = replace(settings.genetic, population=40, parents=8)
     settings = replace(settings, genetic=genetic)
-    (found,) = evolve(tables, task, family, settings=settings, progress=False)
-    history = found.evolution["history"]
+    (evolved,) = evolve(tables, task, family, settings=settings, progress=False)
+    history = evolved.evolution["history"]
     assert np.mean(history["mean"][-5:]) > np.mean(history["mean"][:3]) + 0.01
     assert max(history["best"]) < 0
 
@@ -235,10 +235,10 @@ def test_words_that_do_not_come_back(page):
 
 def test_the_readme_begins_with_a_small_moving_picture():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    found = re.search(r"^!\[.+\]\((.+)\)$", readme, re.MULTILINE)
-    assert readme[: found.start()].count("\n") < 12
-    assert (ROOT / found[1]).stat().st_size < 2e6
-    with Image.open(ROOT / found[1]) as picture:
+    match = re.search(r"^!\[.+\]\((.+)\)$", readme, re.MULTILINE)
+    assert readme[: match.start()].count("\n") < 12
+    assert (ROOT / match[1]).stat().st_size < 2e6
+    with Image.open(ROOT / match[1]) as picture:
         assert picture.n_frames > 50
 
 

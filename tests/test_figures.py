@@ -87,7 +87,7 @@ def test_pages_have_the_figures_of_their_results():
         text = page.read_text(encoding="utf-8")
         assert figures.written(text) == text, "write them: python docs/figures.py write"
         assert text.count("<!-- figures:") == text.count("<!-- end of figures -->")
-        used |= {found[1] for found in figures.BLOCK.finditer(text)}
+        used |= {each_result[1] for each_result in figures.BLOCK.finditer(text)}
         assert text.count("<!-- figures:") == len(figures.BLOCK.findall(text))
     for name in used:
         template = figures.Template()

@@ -35,9 +35,9 @@ def test_simulators_take_arrays_lists_and_tensors(make, kind):
     wanted = simulator.step(simulator.start(torch.from_numpy(pose)), torch.from_numpy(command))
     state = simulator.start(given(pose))
     after = simulator.step(state, given(command))
-    found = [simulator.start(given(pose)), after, simulator.over(after)]
-    found += [simulator.sense(after)] if simulator.reading_names else []
-    for one in found:
+    result = [simulator.start(given(pose)), after, simulator.over(after)]
+    result += [simulator.sense(after)] if simulator.reading_names else []
+    for one in result:
         assert isinstance(one, torch.Tensor if "tensor" in kind else np.ndarray)
         assert str(one.dtype).endswith("float64")
     assert np.allclose(np.asarray(after), wanted.numpy(), atol=1e-6)

@@ -68,8 +68,8 @@ def test_numbers_at_the_ends_of_their_ranges_work(made, tmp_path, line):
     for name in ("simulator", "tables", "plan", "dataset"):
         shutil.copytree(made / name, tmp_path / name)
     shutil.copy(made / "log.csv", tmp_path)
-    code, said, fault = call(line.split(), tmp_path)
-    assert (code, fault) == (0, ""), said
+    code, message, fault = call(line.split(), tmp_path)
+    assert (code, fault) == (0, ""), message
 
 
 @pytest.mark.parametrize(
@@ -96,10 +96,10 @@ def test_json_that_nothing_can_work_with(made, tmp_path, text, line):
     path.write_text(text)
     from fuzz import call
 
-    code, said, fault = call(target.line.split(), tmp_path)
+    code, message, fault = call(target.line.split(), tmp_path)
     assert (code, fault) == (1, "")
-    assert said.count("\n") == 1
-    assert path.name in said
+    assert message.count("\n") == 1
+    assert path.name in message
 
 
 def test_a_mutation_changes_the_file_and_says_how(tmp_path):

@@ -108,10 +108,10 @@ def now():
 
 @pytest.mark.parametrize("name", json.loads(RECORDED.read_text()) if RECORDED.exists() else [])
 def test_what_matters_is_as_it_was(now, name):
-    found, recorded = np.array(now[name]), np.array(json.loads(RECORDED.read_text())[name])
+    content, recorded = np.array(now[name]), np.array(json.loads(RECORDED.read_text())[name])
     if name.startswith("samples"):
         scatter = recorded[1] / np.sqrt(4000)
-        assert (np.abs(found[0] - recorded[0]) < 6.0 * scatter).all()
-        assert found[1] == pytest.approx(recorded[1], rel=0.1)
+        assert (np.abs(content[0] - recorded[0]) < 6.0 * scatter).all()
+        assert content[1] == pytest.approx(recorded[1], rel=0.1)
     else:
-        assert found == pytest.approx(recorded, abs=1e-6 if name.startswith("poses") else 1e-5)
+        assert content == pytest.approx(recorded, abs=1e-6 if name.startswith("poses") else 1e-5)

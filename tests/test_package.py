@@ -27,10 +27,12 @@ def test_workflows_run_commands_that_there_are():
     for path in HOSTED:
         if path.parent.name != "workflows":
             continue
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-        assert {"name", "permissions", "jobs", True} == set(found) - {"concurrency"}  # True: "on"
-        for name, job in found["jobs"].items():
-            assert set(job.get("needs", "").split()) <= set(found["jobs"]), name
+        workflow = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert {"name", "permissions", "jobs", True} == set(workflow) - {
+            "concurrency"
+        }  # True: "on"
+        for name, job in workflow["jobs"].items():
+            assert set(job.get("needs", "").split()) <= set(workflow["jobs"]), name
             assert job["timeout-minutes"] <= 90
             commands += [step["run"] for step in job["steps"] if "run" in step]
     made = [command.split()[1] for command in commands if command.startswith("make ")]
@@ -140,7 +142,7 @@ def test_a_wheel_installs_and_runs_elsewhere(tmp_path):
     )
     assert (tmp_path / "p" / "points.csv").exists(), done.stderr
     where = "import neurosim, sys; print(neurosim.__file__)"
-    found = subprocess.run(
+    finished = subprocess.run(
         [sys.executable, "-c", where],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(target)},
@@ -148,4 +150,4 @@ def test_a_wheel_installs_and_runs_elsewhere(tmp_path):
         text=True,
         check=True,
     )
-    assert found.stdout.startswith(str(target))
+    assert finished.stdout.startswith(str(target))

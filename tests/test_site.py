@@ -84,8 +84,8 @@ def test_links_lead_somewhere(site):
             if to.scheme:
                 continue
             target = (folder / name).parent / unquote(to.path) if to.path else folder / name
-            found = target.resolve().relative_to(folder.resolve()).as_posix()
-            if not target.is_file() or (found in pages and not pages[found].has(to.fragment)):
+            result = target.resolve().relative_to(folder.resolve()).as_posix()
+            if not target.is_file() or (result in pages and not pages[result].has(to.fragment)):
                 wrong.append((name, link))
     assert not wrong
 

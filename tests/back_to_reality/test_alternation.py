@@ -58,8 +58,8 @@ def test_the_simulator_gives_what_was_worked_out_by_hand():
 
 
 def test_discrepancy_and_choice_of_similar_ones_by_hand():
-    found = discrepancy(np.array([[1.0, 2.0], [4.0, 6.0]]), np.array([1.0, 2.0]))
-    assert found == pytest.approx([0.0, 5.0])
+    result = discrepancy(np.array([[1.0, 2.0], [4.0, 6.0]]), np.array([1.0, 2.0]))
+    assert result == pytest.approx([0.0, 5.0])
     simulated_, real = np.array([1.0, 0.5, 0.4, 0.0]), np.array([0.9, 0.1, 0.4, 0.0])
     assert similar(simulated_, real, 2).tolist() == [0, 2]
     # What fails in both is alike, and yet comes last.
@@ -72,13 +72,13 @@ def test_agreement_by_hand():
             return genes[:, 0] + parameters[0]
 
     compared = Compared(Given(), np.array([[1.0], [2.0], [3.0]]), np.array([1.0, 2.0, 5.0]))
-    found = agreement(compared, np.array([1.0]), np.array([0.0]))
-    assert found["before"]["norm"] == pytest.approx(3**0.5)
-    assert found["after"]["norm"] == pytest.approx(2.0)
-    assert found["after"]["median"] == 0.0
-    assert found["after"]["rms"] == pytest.approx((4 / 3) ** 0.5)
-    assert found["after"]["rank"] == pytest.approx(1.0)
-    assert "poses" not in found["after"]
+    result = agreement(compared, np.array([1.0]), np.array([0.0]))
+    assert result["before"]["norm"] == pytest.approx(3**0.5)
+    assert result["after"]["norm"] == pytest.approx(2.0)
+    assert result["after"]["median"] == 0.0
+    assert result["after"]["rms"] == pytest.approx((4 / 3) ** 0.5)
+    assert result["after"]["rank"] == pytest.approx(1.0)
+    assert "poses" not in result["after"]
 
 
 def test_poses_apart_by_hand():
@@ -100,9 +100,9 @@ class Remembering(Simulated):
         self.asked = []
 
     def over(self, genes, sets):
-        found = super().over(genes, sets)
-        self.asked.append((genes, sets, found))
-        return found
+        result = super().over(genes, sets)
+        self.asked.append((genes, sets, result))
+        return result
 
 
 #: First populations are copies of what the search starts from.
@@ -116,34 +116,34 @@ def remembered(tmp_path, **changes):
     run = Alternation(
         model, Journal(reality_of(), path, each=1), START, settings, seed=5, progress=False
     )
-    found = run.run()
-    return model.asked, read_trials(path), found
+    rolled_out = run.run()
+    return model.asked, read_trials(path), rolled_out
 
 
-def bits(shares):
-    return decode(encode(shares, 8), 8)
+def bits(fractions):
+    return decode(encode(fractions, 8), 8)
 
 
 def test_controllers_are_evolved_over_all_sets_with_caution(tmp_path):
-    asked, _, found = remembered(tmp_path, sets=3, caution=2.0, prior=0.1, adapt="none")
+    asked, _, parameters = remembered(tmp_path, sets=3, caution=2.0, prior=0.1, adapt="none")
     expected = []
     for _, sets, fitness in asked:
-        np.testing.assert_array_equal(sets, found.sets)
+        np.testing.assert_array_equal(sets, parameters.sets)
         expected.append((fitness.mean(axis=0) - 2.0 * fitness.std(axis=0)).max())
-    assert found.sets.shape == (3, 2)
-    np.testing.assert_array_equal(found.sets[0], simulated().as_is)
-    each = [best for cycle in found.cycles for best in cycle["L1"]["best"]]
+    assert parameters.sets.shape == (3, 2)
+    np.testing.assert_array_equal(parameters.sets[0], simulated().as_is)
+    each = [best for cycle in parameters.cycles for best in cycle["L1"]["best"]]
     assert each == pytest.approx(expected)
 
 
 def test_the_first_sets_are_spread_by_the_prior(tmp_path):
-    *_, found = remembered(tmp_path, sets=300, prior=0.02, adapt="none", generations=1)
-    assert (found.sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
+    *_, parameters = remembered(tmp_path, sets=300, prior=0.02, adapt="none", generations=1)
+    assert (parameters.sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
 def test_later_searches_begin_at_the_best_in_reality_and_have_their_own_length(tmp_path):
-    asked, rows, found = remembered(tmp_path, cycles=2, later_generations=4, adapt="none")
-    assert [len(cycle["L1"]["best"]) for cycle in found.cycles] == [15, 4, 4]
+    asked, rows, parameters = remembered(tmp_path, cycles=2, later_generations=4, adapt="none")
+    assert [len(cycle["L1"]["best"]) for cycle in parameters.cycles] == [15, 4, 4]
     done, best, begins = [], [], [0, 15, 19]
     for cycle in (1, 2, 3):
         best.append(max(done, key=lambda row: row["fitness"])["genes"] if done else START)
@@ -173,7 +173,9 @@ def test_l2_begins_at_the_best_in_reality(tmp_path):
 
 
 def test_recent_are_the_last_that_were_tried_and_the_best(tmp_path):
-    _, rows, found = remembered(tmp_path, compare="recent", compared=6, policy_steps=0, cycles=2)
+    _, rows, parameters = remembered(
+        tmp_path, compare="recent", compared=6, policy_steps=0, cycles=2
+    )
     by = {row["why"]: [] for row in rows}
     for row in rows:
         by[row["why"]].append(row["fitness"])
@@ -181,38 +183,38 @@ def test_recent_are_the_last_that_were_tried_and_the_best(tmp_path):
     for cycle in (1, 2):
         best = till.index(max(till))
         expected = [*[fitness for n, fitness in enumerate(till) if n != best][-5:], till[best]]
-        assert found.cycles[cycle - 1]["L3"]["compared"]["real"] == expected
+        assert parameters.cycles[cycle - 1]["L3"]["compared"]["real"] == expected
         till = till + by["cycle 2, L1"]
 
 
 def test_l3_goes_on_from_the_adapted_simulator(tmp_path):
     genetic = BitSettings(12, mutation=0.02, first_mutation=0.0)
-    asked, _, found = remembered(tmp_path, adapt_genetic=genetic, policy_steps=0, cycles=2)
+    asked, _, parameters = remembered(tmp_path, adapt_genetic=genetic, policy_steps=0, cycles=2)
     adapting = [n for n, (_, sets, _) in enumerate(asked) if len(sets) == 12]
     begins = [n for n in adapting if n - 1 not in adapting]
     named = [asked[n][1][0] for n in begins]
     model = simulated()
-    first = found.cycles[0]["L3"]["parameters"][0]
+    first = parameters.cycles[0]["L3"]["parameters"][0]
     after = [one.share(first[one.name]) for one in model.parameters]
     for expected, at in zip([model.as_is, np.array(after)], named, strict=True):
         np.testing.assert_allclose(at, bits(expected))
     assert named[0].tolist() != named[1].tolist()
 
 
-@pytest.mark.parametrize(("share", "works"), [(0.76, 1.0), (0.74, 0.0)])
+@pytest.mark.parametrize(("fraction", "works"), [(0.76, 1.0), (0.74, 0.0)])
 def test_a_controller_works_in_both_if_it_is_alike_by_a_quarter_of_the_larger(
-    tmp_path, share, works
+    tmp_path, fraction, works
 ):
     model = simulated()
     settings = settings_named("paper", **SMALL)
 
     def real(genes):
-        return share * float(model.fitness(genes[None], model.as_is)[0])
+        return fraction * float(model.fitness(genes[None], model.as_is)[0])
 
     trials = Journal(real, tmp_path / "trials.jsonl", each=1)
-    found = Alternation(model, trials, START, settings, progress=False).run()
-    assert min(found.cycles[0]["transfer"]["real"]) > 0.0
-    assert found.cycles[0]["transfer"]["works"] == works
+    run_result = Alternation(model, trials, START, settings, progress=False).run()
+    assert min(run_result.cycles[0]["transfer"]["real"]) > 0.0
+    assert run_result.cycles[0]["transfer"]["works"] == works
 
 
 def test_simulations_that_blow_up_are_failures():
@@ -222,8 +224,8 @@ def test_simulations_that_blow_up_are_failures():
 
     model = Simulated(Bursts(), Slide(), Push())
     # Pushed by nothing it slides aside by the second gene.
-    found = model.fitness(np.array([[0.9, 0.5], [0.5, 0.5], [0.0, 0.5]]), model.as_is)
-    assert found == pytest.approx([-0.5, 0.45, -0.5])
+    result = model.fitness(np.array([[0.9, 0.5], [0.5, 0.5], [0.0, 0.5]]), model.as_is)
+    assert result == pytest.approx([-0.5, 0.45, -0.5])
     assert model.fitness(np.array([[0.9, 0.5], [0.5, 0.5]]), model.as_is)[0] == 0.0
 
 
@@ -234,8 +236,8 @@ def test_ranks_of_equal_ones_are_their_mean():
 
     # Ranks 1.5, 1.5, 3, 4 and 1, 2, 3, 4: a covariance of 4.5 by the root of 4.5 times 5.
     compared = Compared(Given(), np.array([[1.0], [1.0], [2.0], [3.0]]), np.arange(4.0))
-    found = agreement(compared, np.zeros(1), np.zeros(1))
-    assert found["after"]["rank"] == pytest.approx((4.5 / 5.0) ** 0.5)
+    out = agreement(compared, np.zeros(1), np.zeros(1))
+    assert out["after"]["rank"] == pytest.approx((4.5 / 5.0) ** 0.5)
 
 
 class TrackedBlock:
@@ -256,8 +258,8 @@ def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
         "paper", compare=compare, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
     )
     trials = Journal(TrackedBlock(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
-    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
-    adapted = found.cycles[0]["L3"]
+    run_result = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
+    adapted = run_result.cycles[0]["L3"]
     assert adapted["compared"]["after"]["poses"] < 0.25 * adapted["compared"]["before"]["poses"]
     assert adapted["held_out"]["after"]["poses"] < 0.5 * adapted["held_out"]["before"]["poses"]
     assert adapted["history"]["best"][-1] >= adapted["compared"]["after"]["poses"] - 1e-12
@@ -267,35 +269,38 @@ def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
 def test_lost_trials_do_not_keep_the_others_from_being_compared(tmp_path, compare):
     class Lost(TrackedBlock):
         def trial(self, genes, number):
-            found = super().trial(genes, number)
-            return 0.0 if number in (5, 15) else found  # one of each round
+            run_result = super().trial(genes, number)
+            return 0.0 if number in (5, 15) else run_result  # one of each round
 
     trials = Journal(Lost(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
     settings = settings_named("paper", **SMALL, compare=compare, compared=20)
-    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
-    adapted = found.cycles[0]["L3"]
+    run_result = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
+    adapted = run_result.cycles[0]["L3"]
     for group in ("compared", "held_out"):
         assert adapted[group]["after"]["poses"] < adapted[group]["before"]["poses"]
 
 
 def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
     settings = settings_named("paper", **SMALL, compare="tracked")
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert len(found.cycles) == 2
-    assert not any("L3" in cycle for cycle in found.cycles)
-    assert (found.sets == simulated().as_is).all()
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert len(run_result.cycles) == 2
+    assert not any("L3" in cycle for cycle in run_result.cycles)
+    assert (run_result.sets == simulated().as_is).all()
 
 
 def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
-    path, said = tmp_path / "trials.jsonl", "tracked 3 poses in a trial; expected 2, one after each"
+    path, messages = (
+        tmp_path / "trials.jsonl",
+        "tracked 3 poses in a trial; expected 2, one after each",
+    )
     settings = settings_named("paper")
     trials = Journal(TrackedBlock(2.0, 0.2, steps=3), path, each=1)
     run = Alternation(simulated(), trials, START, settings, progress=False)
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match=messages):
         run.run()
     assert read_trials(path) == []
     Journal(TrackedBlock(2.0, 0.2, steps=3), path, each=1).evaluate(START[None], "before")
-    with pytest.raises(FileError, match=f"line 2, field 'poses': reality {said}"):
+    with pytest.raises(FileError, match=f"line 2, field 'poses': reality {messages}"):
         Alternation(simulated(), Journal(TrackedBlock(2.0, 0.2), path), START, settings)
 
 
@@ -306,20 +311,20 @@ def test_it_finds_the_parameters_of_reality_and_a_better_controller(tmp_path, se
     settings = settings_named(
         "paper", search=search, adapt=search, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
     )
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert found.start == pytest.approx(reality_of()(START))
-    assert found.fitness > found.start + 0.3
-    assert found.fitness == pytest.approx(reality_of()(found.genes))
-    compared = found.cycles[0]["L3"]["compared"]
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert run_result.start == pytest.approx(reality_of()(START))
+    assert run_result.fitness > run_result.start + 0.3
+    assert run_result.fitness == pytest.approx(reality_of()(run_result.genes))
+    compared = run_result.cycles[0]["L3"]["compared"]
     assert compared["individuals"] == 10
     assert compared["after"]["norm"] < 0.25 * compared["before"]["norm"]
-    held_out = found.cycles[0]["L3"]["held_out"]
+    held_out = run_result.cycles[0]["L3"]["held_out"]
     assert held_out["after"]["rms"] < 0.5 * held_out["before"]["rms"]
-    assert {"left_out", "neighbours"} <= set(found.cycles[0]["L3"])
+    assert {"left_out", "neighbours"} <= set(run_result.cycles[0]["L3"])
     # A start, 12 candidates, 13 policies, where they lead, and 12 candidates; none counts twice.
-    assert 20 < len(found.record) == len(found.record.latest()) <= 1 + 12 + 13 + 1 + 12
-    assert found.evaluations <= 38  # policies of two genes repeat each other
-    assert len(read_trials(tmp_path / "trials.jsonl")) == found.trials
+    assert 20 < len(run_result.record) == len(run_result.record.latest()) <= 1 + 12 + 13 + 1 + 12
+    assert run_result.evaluations <= 38  # policies of two genes repeat each other
+    assert len(read_trials(tmp_path / "trials.jsonl")) == run_result.trials
 
 
 def test_our_choices_keep_several_sets_and_confirm_finalists(tmp_path):
@@ -328,14 +333,14 @@ def test_our_choices_keep_several_sets_and_confirm_finalists(tmp_path):
         "better", cycles=2, generations=6, later_generations=4, candidates=5,
         compare="recent", adapt_generations=5,
     )  # fmt: skip
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert found.sets.shape == (settings.sets, 2) == (6, 2)
-    apart = found.sets[:, None] - found.sets[None]
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert run_result.sets.shape == (settings.sets, 2) == (6, 2)
+    apart = run_result.sets[:, None] - run_result.sets[None]
     assert (np.sqrt((apart**2).mean(-1))[~np.eye(6, dtype=bool)] >= 0.05 - 1e-9).all()
     whys = [row["why"] for row in read_trials(tmp_path / "trials.jsonl")]
     assert whys.count("confirm") % 3 == 0
-    assert found.record.leader().count == settings.confirm == 3
-    assert found.fitness == found.record.leader().fitness > found.start
+    assert run_result.record.leader().count == settings.confirm == 3
+    assert run_result.fitness == run_result.record.leader().fitness > run_result.start
 
 
 def test_a_leader_is_believed_once_it_was_tried_often_enough():
@@ -362,9 +367,9 @@ def test_a_lucky_controller_is_found_out(tmp_path):
 
     settings = settings_named("paper", **SMALL | {"policy_steps": 0}, confirm=3, finalists=60)
     trials = Journal(lucky, tmp_path / "trials.jsonl")
-    found = Alternation(simulated(), trials, START, settings, progress=False).run()
-    assert found.record.leader().count == 3
-    assert found.fitness < 5.0
+    run_result = Alternation(simulated(), trials, START, settings, progress=False).run()
+    assert run_result.record.leader().count == 3
+    assert run_result.fitness < 5.0
 
 
 @pytest.mark.parametrize(("finalists", "steps"), [(2, 0), (6, 0), (2, 1)])
@@ -373,28 +378,28 @@ def test_evaluations_are_spared_to_confirm_within_the_budget(tmp_path, finalists
         "paper", **SMALL | {"policy_steps": steps, "candidates": 17}, budget=20, confirm=4,
         finalists=finalists,
     )  # fmt: skip
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
     whys = [row["why"] for row in read_trials(tmp_path / "trials.jsonl")][::3]
-    assert found.evaluations == len(whys) <= 20
+    assert run_result.evaluations == len(whys) <= 20
     assert "confirm" in whys
     last = max(n for n, why in enumerate(whys) if why != "confirm")
     assert last < 20 - finalists
-    assert found.record.leader().count > 1
+    assert run_result.record.leader().count > 1
 
 
 def test_the_budget_is_kept(tmp_path):
     settings = settings_named("paper", **SMALL, budget=20)
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert found.evaluations <= 20
-    assert len(found.record) == 20
-    early, late = found.record.believed(1, 5), found.record.believed(1, 20)
-    assert early.fitness <= late.fitness == found.fitness
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert run_result.evaluations <= 20
+    assert len(run_result.record) == 20
+    early, late = run_result.record.believed(1, 5), run_result.record.believed(1, 20)
+    assert early.fitness <= late.fitness == run_result.fitness
 
 
 def test_without_adapting_the_simulator_stays_as_it_is(tmp_path):
     settings = settings_named("paper", **SMALL | {"adapt": "none"})
-    found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert (found.sets == simulated().as_is).all()
+    run_result = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert (run_result.sets == simulated().as_is).all()
 
 
 @pytest.mark.parametrize("name", ["ga", "cma", "own"])
@@ -536,9 +541,9 @@ def test_what_was_started_from_is_told_by_all_its_trials(tmp_path):
         "paper", **SMALL | {"candidates": 4, "policy_steps": 0}, adapt="none", confirm=3, budget=8
     )
     trials = Journal(lambda genes: next(answers), tmp_path / "trials.jsonl", each=1)
-    found = Alternation(simulated(), trials, START, settings, progress=False).run()
-    assert found.genes.tolist() == START.tolist()
-    assert found.start == found.fitness == pytest.approx(0.6)
+    run_result = Alternation(simulated(), trials, START, settings, progress=False).run()
+    assert run_result.genes.tolist() == START.tolist()
+    assert run_result.start == run_result.fitness == pytest.approx(0.6)
 
 
 def test_what_does_not_fit_is_refused():
@@ -551,14 +556,14 @@ def test_what_does_not_fit_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [({"spread": 0.0}, "spread: .* found 0"),
      ({"compare": "all"}, "compare: .* 'similar', 'recent', 'tracked', found 'all'")],
 )  # fmt: skip
-def test_settings_that_cannot_be_are_refused(change, said):
-    with pytest.raises(UserError, match=said):
+def test_settings_that_cannot_be_are_refused(change, message):
+    with pytest.raises(UserError, match=message):
         settings_named("paper", **change)
-    with pytest.raises(UserError, match="paper and better"):
+    with pytest.raises(UserError, match="paper or better"):
         settings_named("best")
 
 
@@ -568,9 +573,9 @@ def test_an_optimiser_that_does_not_suit_is_refused_before_any_trial(tmp_path, w
         hints = ("keys",)
 
     monkeypatch.setitem(OPTIMISERS._registered, "keyed", Keyed)
-    for name, said in (
+    for name, message in (
         ("hill", "there is no optimiser 'hill'"),
         ("keyed", "needs keys in addition"),
     ):
-        with pytest.raises(UserError, match=said):
+        with pytest.raises(UserError, match=message):
             alternation(tmp_path / "trials.jsonl", settings_named("paper", **{which: name}))

@@ -60,26 +60,26 @@ def nxt(forward=1.0, turn=1.0, yaw=0.0):
 def test_a_trial_is_judged_and_tracked():
     reality = make_reality("virtual-nxt", FAMILY, TASK, lab_seed=3)
     genes = FAMILY.encode(COMMANDS)
-    found, again = reality.trial(genes, 1), reality.trial(genes, 1)
-    assert np.array_equal(found.poses, again.poses, equal_nan=True)
-    assert np.isnan(found.poses).all(axis=1).tolist() == [False, True, False, False, False]
-    assert found.fitness == pytest.approx(1 - 0.2)  # the first rectangle, with the first command
+    result, again = reality.trial(genes, 1), reality.trial(genes, 1)
+    assert np.array_equal(result.poses, again.poses, equal_nan=True)
+    assert np.isnan(result.poses).all(axis=1).tolist() == [False, True, False, False, False]
+    assert result.fitness == pytest.approx(1 - 0.2)  # the first rectangle, with the first command
     # 20 cm/s, and to the right by 2.3 rad/s for 0.6 s, but for lags.
     x, y, heading = TASK.start
-    assert found.poses[0] == pytest.approx([x, y + 0.28, heading], abs=0.03)
-    assert found.poses[0, 2] - found.poses[2, 2] == pytest.approx(1.15, abs=0.2)
-    assert reality.trial(genes, 2).poses[0, 1] != found.poses[0, 1]
+    assert result.poses[0] == pytest.approx([x, y + 0.28, heading], abs=0.03)
+    assert result.poses[0, 2] - result.poses[2, 2] == pytest.approx(1.15, abs=0.2)
+    assert reality.trial(genes, 2).poses[0, 1] != result.poses[0, 1]
     # The left wheel is the smaller, so it turns left.
     worn = make_reality("virtual-nxt", FAMILY, TASK, lab_seed=3, worn=0.1).trial(genes, 1)
-    assert worn.poses[0, 2] > found.poses[0, 2] + 0.1
+    assert worn.poses[0, 2] > result.poses[0, 2] + 0.1
     assert json.dumps(reality.describe())
 
 
 def test_what_a_plan_without_commands_does():
     reality = make_reality("virtual-nxt", FAMILY, TASK)
-    found = reality.trial(FAMILY.encode([None] * 4), 0)
-    assert found.poses.tolist() == [list(TASK.start)] * 5
-    assert found.fitness == 0.0
+    result = reality.trial(FAMILY.encode([None] * 4), 0)
+    assert result.poses.tolist() == [list(TASK.start)] * 5
+    assert result.fitness == 0.0
     check_reality(reality, FAMILY.encode([None] * 4))
 
 
@@ -95,10 +95,10 @@ def test_a_network_is_tracked_at_every_step():
     task = GoTo(goals=((0.2, 0.1, 0.0),), seconds=1.0)
     family = Network(("x", "y", "goal_x"))
     reality = make_reality("virtual-nxt", family, task, lab_seed=3)
-    found = reality.trial(np.full(family.genes, 0.4), 0)
-    assert found.poses.shape == (task.episode.steps + (task.episode.rest > 0), 3)
-    assert np.isfinite(found.poses).all()
-    assert np.ptp(found.poses[:, :2], axis=0).max() > 0.02
+    result = reality.trial(np.full(family.genes, 0.4), 0)
+    assert result.poses.shape == (task.episode.steps + (task.episode.rest > 0), 3)
+    assert np.isfinite(result.poses).all()
+    assert np.ptp(result.poses[:, :2], axis=0).max() > 0.02
 
 
 def write_plan(folder):
@@ -208,8 +208,8 @@ def test_a_handful_of_trials_bring_a_simulator_of_another_floor_back(tmp_path, m
     content = json.loads(capsys.readouterr().out)
     assert content["trials"] <= 7
     adapted = content["cycles"][0]["L3"]
-    for plans, share in (("compared", 0.4), ("held_out", 0.5)):
-        assert adapted[plans]["after"]["poses"] < share * adapted[plans]["before"]["poses"]
+    for plans, fraction in (("compared", 0.4), ("held_out", 0.5)):
+        assert adapted[plans]["after"]["poses"] < fraction * adapted[plans]["before"]["poses"]
     simulator = read_simulator("found/simulator")
     assert vars(simulator.correction) == pytest.approx(adapted["parameters"][0])
     rows = [json.loads(row) for row in (tmp_path / "found/trials.jsonl").read_text().splitlines()]

@@ -119,7 +119,7 @@ def test_arguments_are_checked():
 
 def declared():
     """Return every class of settings that options are made of."""
-    found = {}
+    results = {}
     for command in cli.commands.values():
         groups = command._groups if isinstance(command, SettingsCommand) else []
         default = {}
@@ -131,8 +131,8 @@ def declared():
                 source = group.chosen_by(chosen)
                 source = source if isinstance(source, type) else type(source)
                 if issubclass(source, Checked) and _options_or_none(group, chosen):
-                    found[source.__name__] = source
-    return found
+                    results[source.__name__] = source
+    return results
 
 
 @pytest.mark.parametrize(("name", "kind"), declared().items(), ids=declared())

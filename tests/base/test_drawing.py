@@ -13,10 +13,10 @@ from neurosim.base.place import Place
 INKSCAPE = 'xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape"'
 
 
-def drawn(tmp_path, inside, size='width="100" height="100"'):
+def place_of(tmp_path, inside, size='width="100" height="100"'):
     path = tmp_path / "drawing.svg"
     path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {INKSCAPE} {size}>{inside}</svg>')
-    place, drawn.notes = read_drawing(path)
+    place, place_of.notes = read_drawing(path)
     return place
 
 
@@ -26,7 +26,7 @@ SCALE = '<line id="scale-50cm" x1="0" y1="0" x2="60" y2="80"/>'
 
 def test_every_part_by_hand(tmp_path):
     """The board's middle is at (200, 150); a unit is 5 mm; y points down."""
-    place = drawn(
+    place = place_of(
         tmp_path,
         SCALE
         + '<rect id="board" x="0" y="0" width="400" height="300"/>'
@@ -48,14 +48,14 @@ def test_every_part_by_hand(tmp_path):
     assert (place.lines[0].width, place.lines[0].closed) == (0.01, False)
     assert place.lights == ((0.0, 0.45), (0.05, 0.45))
     assert place.start == (0.0, -0.25, pytest.approx(math.pi / 2))
-    assert not drawn.notes
+    assert not place_of.notes
     place.write(tmp_path / "place.json")
     assert Place.read(tmp_path / "place.json") == place
 
 
 def test_additions_are_named(tmp_path):
     """An open outline is closed, unless its ends meet; a line without a width has the usual one."""
-    place = drawn(
+    place = place_of(
         tmp_path,
         SCALE
         + '<path id="outline" d="M 0,0 H 200 V 200 H 0"/>'
@@ -63,7 +63,7 @@ def test_additions_are_named(tmp_path):
         + '<path id="line-2" d="M 40,40 H 80 V 80 L 40,40" stroke-width="2"/>'
         + '<polyline id="obstacle" points="100,100 120,100 120,120"/>',
     )
-    assert drawn.notes == [
+    assert place_of.notes == [
         "outline (outline) is open: its last point is joined to its first",
         "line-1 (line) has no stroke width: 4 cm is used",
         "obstacle (obstacle) is open: its last point is joined to its first",
@@ -74,7 +74,7 @@ def test_additions_are_named(tmp_path):
 
 def test_layers_transforms_and_pages_of_a_known_size(tmp_path):
     """As Inkscape writes it: millimetres, labels of layers, transforms within each other."""
-    place = drawn(
+    place = place_of(
         tmp_path,
         '<g id="layer1" inkscape:label="Outline"><rect x="10" y="10" width="100" height="60"/></g>'
         '<g inkscape:label="Walls 2" transform="translate(60 40)"><g transform="rotate(90)">'
@@ -99,7 +99,7 @@ def test_layers_transforms_and_pages_of_a_known_size(tmp_path):
 
 
 def test_circles_of_any_element_and_other_obstacles(tmp_path):
-    place = drawn(
+    place = place_of(
         tmp_path,
         SCALE + '<g id="obstacles"><path d="M -10,0 a 10 10 0 1 0 20 0 a 10 10 0 1 0 -20 0 z"/>'
         '<rect x="50" y="50" width="20" height="10"/>'
@@ -118,7 +118,7 @@ def test_circles_of_any_element_and_other_obstacles(tmp_path):
 
 def test_a_round_rectangle_is_a_line_of_its_length(tmp_path):
     rect = '<rect id="line" x="0" y="0" width="280" height="160" rx="60"/>'
-    line = drawn(tmp_path, SCALE + rect).lines[0]
+    line = place_of(tmp_path, SCALE + rect).lines[0]
     wanted = Place.with_line("rectangle", 1.4, 0.8, 0.3).lines[0]
     assert line.loop.length == pytest.approx(wanted.loop.length, rel=1e-3)
     away, _ = wanted.loop.nearest(line.points)
@@ -158,7 +158,7 @@ OUTLINE = '<rect id="outline" width="100" height="100"/>'
 )
 def test_what_is_no_drawing_of_a_place_is_refused(inside, words, tmp_path):
     with pytest.raises(FileError, match=words) as caught:
-        drawn(tmp_path, inside)
+        place_of(tmp_path, inside)
     assert str(caught.value).startswith(str(tmp_path / "drawing.svg"))
 
 
@@ -192,17 +192,17 @@ def test_files_that_are_no_drawings(text, words, tmp_path):
 )
 def test_sizes_that_cannot_be_are_refused(box, inside, words, tmp_path):
     with pytest.raises(FileError, match=words):
-        drawn(tmp_path, inside, f'width="100mm" viewBox="{box}"')
+        place_of(tmp_path, inside, f'width="100mm" viewBox="{box}"')
 
 
 def test_small_circles_stay_round(tmp_path):
     """Steps of a curve may be shorter than what counts as one point."""
     size = 'width="100cm" height="80cm" viewBox="0 0 1000 800"'
-    place = drawn(tmp_path, '<circle id="obstacle" cx="100" cy="100" r="8"/>', size)
+    place = place_of(tmp_path, '<circle id="obstacle" cx="100" cy="100" r="8"/>', size)
     assert place.obstacles[0][2] == pytest.approx(0.008, abs=2e-4)
 
 
 def test_a_page_is_shown_as_large_as_fits_into_width_and_height(tmp_path):
     size = 'width="100cm" height="40cm" viewBox="0 0 1000 800"'
-    place = drawn(tmp_path, '<rect id="board" width="800" height="600"/>', size)
+    place = place_of(tmp_path, '<rect id="board" width="800" height="600"/>', size)
     assert (place.board.length, place.board.width) == (0.4, 0.3)

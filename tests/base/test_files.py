@@ -236,10 +236,10 @@ def test_a_temporary_name_follows_no_link_and_cannot_be_foreseen(tmp_path):
     assert len(names) == 3
     # Where a link stands at a name that is drawn, another one is.
     (tmp_path / "mine").write_text("mine")
-    drawn = iter(["taken", "free"])
+    sampled = iter(["taken", "free"])
     (tmp_path / ".a.taken.partial.json").symlink_to(tmp_path / "mine")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(files.tempfile, "_get_candidate_names", lambda: drawn)
+        patch.setattr(files.tempfile, "_get_candidate_names", lambda: sampled)
         files.write_text(tmp_path / "a.json", "new")
     assert (tmp_path / "mine").read_text() == "mine"
     assert (tmp_path / "a.json").read_text() == "new"

@@ -113,26 +113,26 @@ def test_an_interruption_that_compiled_code_wrapped_is_one():
 
 
 def test_it_runs_in_any_thread():
-    stage, found = Counting(), []
+    stage, result = Counting(), []
 
     def work():
         with deferred_interrupt() as interrupt:
-            found.append(interrupt.pending)
-        found.append(run_generations(stage, 4, "", progress=False))
+            result.append(interrupt.pending)
+        result.append(run_generations(stage, 4, "", progress=False))
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert found == [False, False]
+    assert result == [False, False]
     assert stage.worked == 4
 
 
 def test_a_first_generation_that_takes_long_says_why(monkeypatch, capsys):
     monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
     run_generations(Counting(1, lambda: time.sleep(0.5)), 3, "evolving")
-    said = capsys.readouterr().err
-    assert said.count("loops are compiled") == 1
-    assert said.startswith("evolving: the first generation is under way")
+    message = capsys.readouterr().err
+    assert message.count("loops are compiled") == 1
+    assert message.startswith("evolving: the first generation is under way")
     monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 600.0)
     run_generations(Counting(), 3, "evolving")
     assert "compiled" not in capsys.readouterr().err

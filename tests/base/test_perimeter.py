@@ -96,9 +96,9 @@ def test_no_line_is_passed_over(before, displacement):
         assert ends.any()
     # A corner of the line may be cut between two checks, a longer way on it may not be missed.
     moved = se2.between(np.array(before), after)
-    way = float(se2.arc_length(moved)) + math.hypot(*SENSORS[0]) * abs(moved[2])
+    distance = float(se2.arc_length(moved)) + math.hypot(*SENSORS[0]) * abs(moved[2])
     longest = max((len(list(run)) for on, run in groupby(ends) if on), default=0)
-    if longest / len(ends) * way > 1.01 * SPACING or ends[0]:
+    if longest / len(ends) * distance > 1.01 * SPACING or ends[0]:
         assert code == LINE
 
 

@@ -6,7 +6,7 @@ from neurosim.base.provenance import is_virtual
 
 
 @pytest.mark.parametrize(
-    ("meta", "told"),
+    ("meta", "predicted"),
     [
         ({}, None),
         ({"virtual": True}, True),
@@ -26,5 +26,5 @@ from neurosim.base.provenance import is_virtual
         (None, None),
     ],
 )
-def test_what_is_told_counts(meta, told):
-    assert is_virtual(meta) is told
+def test_what_is_told_counts(meta, predicted):
+    assert is_virtual(meta) is predicted

@@ -33,25 +33,25 @@ def test_training_and_evolution(tmp_path):
     small = ["--generations", 4, "--population", 20]
     train = ["train", DATA, "-o", tmp_path / "s", "--trainer", "ga", *small]
     neurosim(*train, "--tensorboard", tmp_path / "curves" / "train")
-    found = curves(tmp_path / "curves" / "train")
+    computed = curves(tmp_path / "curves" / "train")
     history = json.loads((tmp_path / "s" / "simulator.json").read_text())["history"]
-    assert sorted(found) == ["training/rms-dtheta", "training/rms-dx", "training/rms-dy"]
+    assert sorted(computed) == ["training/rms-dtheta", "training/rms-dx", "training/rms-dy"]
     for place, name in enumerate(("dx", "dy", "dtheta")):
-        steps, values = zip(*found[f"training/rms-{name}"], strict=True)
+        steps, values = zip(*computed[f"training/rms-{name}"], strict=True)
         assert steps == (1, 2, 3, 4)
         expected = [math.sqrt(one["mse"][place]) for one in history]
         assert values == pytest.approx(expected, rel=1e-5)
     evolve = ["evolve", tmp_path / "s", "-o", tmp_path / "c", "--runs", 2, *small]
     result = neurosim(*evolve, "--tensorboard", tmp_path / "curves" / "evolve")
-    found = curves(tmp_path / "curves" / "evolve")
-    assert sorted(found) == [
+    computed = curves(tmp_path / "curves" / "evolve")
+    assert sorted(computed) == [
         "evolution/best/run-1", "evolution/best/run-2",
         "evolution/mean/run-1", "evolution/mean/run-2",
     ]  # fmt: skip
     for name in ("best", "mean"):
-        runs = [[value for _, value in found[f"evolution/{name}/run-{run}"]] for run in (1, 2)]
+        runs = [[value for _, value in computed[f"evolution/{name}/run-{run}"]] for run in (1, 2)]
         assert any(values == pytest.approx(result[name], rel=1e-5) for values in runs)
-        assert [step for step, _ in found[f"evolution/{name}/run-1"]] == [1, 2, 3, 4]
+        assert [step for step, _ in computed[f"evolution/{name}/run-1"]] == [1, 2, 3, 4]
 
 
 def test_back_to_reality(tmp_path, monkeypatch):
@@ -64,17 +64,17 @@ def test_back_to_reality(tmp_path, monkeypatch):
         Block(), Slide(), Push(), reality_of(), out=tmp_path / "out", settings=settings, seed=3,
         start=np.array([0.5, 0.5]), progress=False, tensorboard=tmp_path / "curves",
     )  # fmt: skip
-    found = curves(tmp_path / "curves")
-    steps, values = zip(*found["reality/fitness"], strict=True)
+    result = curves(tmp_path / "curves")
+    steps, values = zip(*result["reality/fitness"], strict=True)
     assert steps == tuple(range(1, len(content["real"]) + 1))
     assert values == pytest.approx(content["real"], rel=1e-5)
     assert len(read_trials(tmp_path / "out" / "trials.jsonl")) == 2 * len(steps)
     for cycle, one in enumerate(content["cycles"]):
         for name in ("best", "mean"):
-            points = found[f"cycle-{cycle + 1}/L1/{name}"]
+            points = result[f"cycle-{cycle + 1}/L1/{name}"]
             assert [value for _, value in points] == pytest.approx(one["L1"][name], rel=1e-5)
             assert [step for step, _ in points] == list(range(1, len(points) + 1))
-    assert [-value for _, value in found["cycle-1/L3/best"]] == pytest.approx(
+    assert [-value for _, value in result["cycle-1/L3/best"]] == pytest.approx(
         content["cycles"][0]["L3"]["history"]["best"], rel=1e-5
     )
 

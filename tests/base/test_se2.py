@@ -69,8 +69,8 @@ def test_small_turns_lose_no_precision(angle):
 def test_in_the_mid_turn_frame_a_twist_is_its_chord(twist):
     # Turns of a whole turn and more included: no logarithm is taken.
     factors = [se2.chord(twist[2]), se2.chord(twist[2]), 1.0]
-    found = se2.mid_turn(se2.exp(twist))
-    assert found == pytest.approx(np.multiply(twist, factors), abs=1e-9)
+    result = se2.mid_turn(se2.exp(twist))
+    assert result == pytest.approx(np.multiply(twist, factors), abs=1e-9)
 
 
 def test_the_length_of_a_half_circle_and_of_what_no_arc_leads_to():
@@ -117,11 +117,11 @@ def test_compiled_code_computes_the_same(a, b, fraction):
 def test_tensors_compute_the_same(a, b):
     first, second = torch.tensor([a, b], dtype=torch.float64)
     for name in ("compose", "between"):
-        found = getattr(tensors, name)(first, second)
-        assert found.tolist() == pytest.approx(getattr(se2, name)(a, b), abs=1e-9)
+        result = getattr(tensors, name)(first, second)
+        assert result.tolist() == pytest.approx(getattr(se2, name)(a, b), abs=1e-9)
     for name in ("exp", "mid_turn"):
-        found = getattr(tensors, name)(first)
-        assert found.tolist() == pytest.approx(getattr(se2, name)(a), abs=1e-9)
+        result = getattr(tensors, name)(first)
+        assert result.tolist() == pytest.approx(getattr(se2, name)(a), abs=1e-9)
     assert tensors.chord(first[2]).item() == pytest.approx(se2.chord(a[2]), abs=1e-9)
     rotated = se2.compose([0, 0, a[2]], b)[:2]
     assert tensors.rotate(first[2], second[:2]).tolist() == pytest.approx(rotated, abs=1e-9)
@@ -130,16 +130,18 @@ def test_tensors_compute_the_same(a, b):
 def test_tensors_may_have_any_leading_shape():
     a, b = torch.randn(2, 4, 5, 3, generator=torch.Generator().manual_seed(0)).double()
     for name in ("compose", "between"):
-        found = getattr(tensors, name)(a, b)
-        np.testing.assert_allclose(found, getattr(se2, name)(a.numpy(), b.numpy()), atol=1e-12)
+        result = getattr(tensors, name)(a, b)
+        np.testing.assert_allclose(result, getattr(se2, name)(a.numpy(), b.numpy()), atol=1e-12)
     for name in ("exp", "mid_turn"):
-        found = getattr(tensors, name)(a)
-        np.testing.assert_allclose(found, getattr(se2, name)(a.numpy()), atol=1e-12)
+        result = getattr(tensors, name)(a)
+        np.testing.assert_allclose(result, getattr(se2, name)(a.numpy()), atol=1e-12)
 
 
 def test_an_angle_is_wrapped_by_whole_turns():
-    found = se2.wrapped([0.0, 3.0 * np.pi / 2.0, -4.0, np.pi, 7.0])
-    assert found == pytest.approx([0.0, -np.pi / 2.0, 2.0 * np.pi - 4.0, -np.pi, 7.0 - 2.0 * np.pi])
+    result = se2.wrapped([0.0, 3.0 * np.pi / 2.0, -4.0, np.pi, 7.0])
+    assert result == pytest.approx(
+        [0.0, -np.pi / 2.0, 2.0 * np.pi - 4.0, -np.pi, 7.0 - 2.0 * np.pi]
+    )
 
 
 def test_wheels_make_a_twist():

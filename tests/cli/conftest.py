@@ -24,13 +24,13 @@ def refused(tmp_path, monkeypatch, capsys):
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
             main()
-        out, said = capsys.readouterr()
+        out, message = capsys.readouterr()
         assert stop.value.code == 1
         assert out == ""
-        assert said.startswith("neurosim: ")
-        assert said.count("\n") == 1, said
-        assert "Traceback" not in said
+        assert message.startswith("neurosim: ")
+        assert message.count("\n") == 1, message
+        assert "Traceback" not in message
         assert sorted(str(path) for path in tmp_path.rglob("*")) == before
-        return said
+        return message
 
     return run

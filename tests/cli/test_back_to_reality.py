@@ -34,38 +34,38 @@ def neurosim(tmp_path, monkeypatch, capsys):
             code = 0
         except SystemExit as stop:
             code = stop.code or 0
-        out, said = capsys.readouterr()
-        return code, out, said
+        out, message = capsys.readouterr()
+        return code, out, message
 
     return run
 
 
 @pytest.mark.slow
 def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
-    code, out, said = neurosim("back-to-reality", "-o", "found", *SMALL, "--json")
-    assert code == 0, said
+    code, out, message = neurosim("back-to-reality", "-o", "found", *SMALL, "--json")
+    assert code == 0, message
     content = json.loads(out)
     assert content["trials"] == len((tmp_path / "found/trials.jsonl").read_text().splitlines()) - 1
     assert content["start"]["fitness"] > 0.08
     assert content["reality"]["place"] == "main"
-    code, out, said = neurosim(
+    code, out, message = neurosim(
         "report", "found", "found/controller", "found/simulator", "-o", "page.html"
     )
-    assert code == 0, said
+    assert code == 0, message
     assert "Back to reality" in (tmp_path / "page.html").read_text()
-    code, _, said = neurosim("back-to-reality", "-o", "found", *SMALL)
+    code, _, message = neurosim("back-to-reality", "-o", "found", *SMALL)
     assert code == 1
-    assert "not empty" in said
+    assert "not empty" in message
 
 
 @pytest.mark.slow
 def test_our_own_choices_are_the_default(neurosim, tmp_path):
     pytest.importorskip("cma")
     words = ("--seconds", 1, "--generations", 2, "--sets", 2, "--budget", 4, "--trials", 1)
-    code, out, said = neurosim(
+    code, out, message = neurosim(
         "back-to-reality", "-o", "found", *words, "--candidates", 1, "--confirm", 1
     )
-    assert code == 0, said
+    assert code == 0, message
     assert "were not adapted: reality returned a fitness, and no poses" in out
     content = json.loads((tmp_path / "found/back-to-reality.json").read_text())
     assert content["settings"]["compare"] == "tracked"
@@ -84,15 +84,15 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
     monkeypatch.setattr("builtins.input", typed)
     monkeypatch.setattr("click.prompt", lambda *args, **settings: "")
     words = ["--reality", "by-hand", *SMALL]
-    code, _, said = neurosim("back-to-reality", "-o", "found", *words)
+    code, _, message = neurosim("back-to-reality", "-o", "found", *words)
     assert code == 130
-    assert "--resume" in said
-    assert "Fitness in m/s (0 if it fell): " in said
+    assert "--resume" in message
+    assert "Fitness in m/s (0 if it fell): " in message
     lines = (tmp_path / "found.checkpoint/trials.jsonl").read_text().splitlines()
     assert [json.loads(line)["fitness"] for line in lines[1:]] == [0.1, 0.2, 0.3]
     monkeypatch.setattr("builtins.input", lambda: "0.15")
-    code, out, said = neurosim("back-to-reality", "-o", "found", "--resume", "--json")
-    assert code == 0, said
+    code, out, message = neurosim("back-to-reality", "-o", "found", "--resume", "--json")
+    assert code == 0, message
     content = json.loads(out)
     assert content["real"][:3] == [0.1, 0.2, 0.3]
     assert content["best"]["fitness"] == 0.3
@@ -113,25 +113,25 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
             return 0.1
 
     monkeypatch.setitem(REALITIES._registered, "mine", Robot)
-    code, _, said = neurosim("back-to-reality", "-o", "found", "--reality", "mine", *SMALL)
-    assert code == 130, said
-    code, _, said = neurosim("back-to-reality", "-o", "found", "--resume")
+    code, _, message = neurosim("back-to-reality", "-o", "found", "--reality", "mine", *SMALL)
+    assert code == 130, message
+    code, _, message = neurosim("back-to-reality", "-o", "found", "--resume")
     assert code == 1
-    assert "this was started with --reality mine: give it and its options again" in said
+    assert "this was started with --reality mine: give it and its options again" in message
     Robot.__init__ = lambda self, controller: setattr(self, "left", 100)
     words = ("--resume", "--reality", "mine", "--json")
-    code, out, said = neurosim("back-to-reality", "-o", "found", *words)
-    assert code == 0, said
+    code, out, message = neurosim("back-to-reality", "-o", "found", *words)
+    assert code == 0, message
     assert json.loads(out)["best"]["fitness"] == 0.1
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--place", "moon"], "there is no place 'moon' in the lab"),
         (["--task", "go-to"], "does the task walking only, not go-to"),
         (["--budget", "5"], "a budget of 5 is too small"),
-        (["--settings", "best"], "paper and better"),
+        (["--settings", "best"], "paper or better"),
         (["--controller", "network", "--inputs", "time"], "commands no joint angles"),
         (["--task", "go-to", "--controller", "plan"], "commands no joint angles"),
         (["--simulator", "nowhere"], "no such simulator"),
@@ -140,7 +140,7 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
         (["--resume"], "there is no interrupted run"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(neurosim, tmp_path, words, said):
+def test_what_cannot_be_is_refused_in_a_sentence(neurosim, tmp_path, words, message):
     head = {"format": "neurosim-parameters", "version": 1}
     far = {"front_x": 0.08, "front_z": 0.125, "length": 0.1}
     for name, changes in (("gait", {"length": 7}), ("far", far)):
@@ -149,7 +149,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(neurosim, tmp_path, words, said
     code, out, error = neurosim("back-to-reality", "-o", "found", *words)
     assert code == 1
     assert out == ""
-    assert said in error
+    assert message in error
     assert error.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["far.json", "gait.json"]
 
@@ -176,20 +176,21 @@ def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch
         "evolve", "sim", "-o", "plan", "--commands", 3, "--generations", 1, "--population", 4,
         "--tournament", 2, "--robot-generations", 1, "--extrapolate",
     ]  # fmt: skip
-    code, _, said = neurosim(*words, "--reality", "mine")
+    code, _, message = neurosim(*words, "--reality", "mine")
     assert code == 1
     assert (
-        "the robot is gone; the best controller so far is in plan, continue with --resume" in said
+        "the robot is gone; the best controller so far is in plan, continue with --resume"
+        in message
     )
-    code, _, said = neurosim("evolve", "sim", "-o", "plan", "--resume")
-    assert "this was started with --reality mine: give it and its options again" in said
+    code, _, message = neurosim("evolve", "sim", "-o", "plan", "--resume")
+    assert "this was started with --reality mine: give it and its options again" in message
     Robot.left = 1000
-    code, out, said = neurosim(
+    code, out, message = neurosim(
         "evolve", "sim", "-o", "plan", "--resume", "--reality", "mine", "--json"
     )
-    assert code == 0, said
+    assert code == 0, message
     result = json.loads(out)
     assert (result["transfer"], len(result["best"]), result["runs"]) == (1, 2, 1)
     assert not (tmp_path / "plan.checkpoint").exists()
-    code, _, said = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
-    assert "the reality virtual-nxt needs no camera" in said
+    code, _, message = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
+    assert "the reality virtual-nxt needs no camera" in message

@@ -62,9 +62,9 @@ length = "m"
 @pytest.mark.slow
 def test_the_example(tmp_path):
     file, out = ROOT / "examples" / "sweep.toml", tmp_path / "out"
-    first, said = pipeline(file, "-o", out)
-    assert said.count("$ neurosim train ") == 1
-    assert said.count("$ neurosim evolve ") == 4
+    first, output = pipeline(file, "-o", out)
+    assert output.count("$ neurosim train ") == 1
+    assert output.count("$ neurosim evolve ") == 4
     table = list(csv.DictReader((out / "summary.csv").open()))
     swept = [(row["seed"], row["evolve.commands"]) for row in table]
     assert swept == [("0", "6"), ("0", "12"), ("1", "6"), ("1", "12")]
@@ -80,8 +80,8 @@ def test_the_example(tmp_path):
         assert float(row["evaluate:errors.dx.mse"]) == stages["train"]["result"]["test_errors"][
             "dx"]["mse"]  # fmt: skip
     log = (out / "pipeline.jsonl").read_bytes()
-    again, said = pipeline(file, "-o", out)
-    assert "$ neurosim" not in said
+    again, output = pipeline(file, "-o", out)
+    assert "$ neurosim" not in output
     assert (out / "pipeline.jsonl").read_bytes() == log
     assert [point["stages"]["evolve"]["result"] for point in again["points"]] == [
         point["stages"]["evolve"]["result"] for point in first["points"]
@@ -100,13 +100,13 @@ def outs(result):
 def test_a_stage_is_done_again_if_it_or_its_input_changed(tmp_path):
     file = tmp_path / "moves.toml"
     write(file, MOVES)
-    first, said = pipeline(file)
-    assert (said.count("$ neurosim"), outs(first)) == (2, {"dataset": "dataset", "copy": "copy"})
+    first, output = pipeline(file)
+    assert (output.count("$ neurosim"), outs(first)) == (2, {"dataset": "dataset", "copy": "copy"})
     kept = (tmp_path / "moves" / "dataset" / "dataset.csv").read_bytes()
     # An option of the second stage alone.
     write(file, MOVES.replace('length = "m"', 'length = "cm"'))
-    second, said = pipeline(file)
-    assert "dataset: done before" in said
+    second, output = pipeline(file)
+    assert "dataset: done before" in output
     assert outs(second) == {"dataset": "dataset", "copy": "copy-2"}
     # The file that the first one reads.
     write(file, MOVES, rows=25)
@@ -116,13 +116,13 @@ def test_a_stage_is_done_again_if_it_or_its_input_changed(tmp_path):
     assert (tmp_path / "moves" / "dataset" / "dataset.csv").read_bytes() == kept
     # As it was at first: nothing is done.
     write(file, MOVES)
-    last, said = pipeline(file)
-    assert "$ neurosim" not in said
+    last, output = pipeline(file)
+    assert "$ neurosim" not in output
     assert outs(last) == outs(first)
     # An output that is gone is made again.
     shutil.rmtree(tmp_path / "moves" / "copy")
-    _, said = pipeline(file)
-    assert said.count("$ neurosim") == 1
+    _, output = pipeline(file)
+    assert output.count("$ neurosim") == 1
     assert (tmp_path / "moves" / "copy" / "dataset.csv").exists()
 
 

@@ -71,8 +71,8 @@ def test_a_file_does_not_choose_what_is_driven(refused, precious, listener, tmp_
         option = "reality" if command == "evolve" else "robot"
         words = made(command, folder, {option: "khepera", "port": url, "camera": "none"})
         os.chdir(folder)
-        said = refused(*words)
-        assert f"started with --{option} khepera: give it and its options again" in said
+        message = refused(*words)
+        assert f"started with --{option} khepera: give it and its options again" in message
         # The robot is named again, and its port is not.
         assert f"--{option} khepera needs --port" in refused(*words, f"--{option}", "khepera")
     assert precious.read_text() == "mine\n"
@@ -161,8 +161,8 @@ def test_what_is_gone_on_with_holds_no_links(refused, precious, tmp_path, comman
     (inner / name).symlink_to(precious)
     if command == "record --guided":
         words += ["--guided", "--commands", "60", "--round", "20", "--calibration", "c.json"]
-    said = refused(*words)
-    assert f"{name} is a link to {precious}" in said
+    message = refused(*words)
+    assert f"{name} is a link to {precious}" in message
     assert precious.read_text() == "mine\n"
 
 
@@ -256,11 +256,11 @@ def _calls_that_write(path):
 
 def test_every_place_that_opens_for_writing_is_known():
     root = Path(neurosim.__file__).parents[1]
-    found = {}
+    results = {}
     for path in sorted([*root.glob("neurosim/**/*.py"), *root.glob("tracking/**/*.py")]):
         if names := set(_calls_that_write(path)):
-            found[path.relative_to(root).as_posix()] = names
-    unknown = {file: names - _WRITERS.get(file, set()) for file, names in found.items()}
+            results[path.relative_to(root).as_posix()] = names
+    unknown = {file: names - _WRITERS.get(file, set()) for file, names in results.items()}
     assert {file: names for file, names in unknown.items() if names} == {}
 
 
@@ -288,9 +288,11 @@ def test_a_folder_of_files_is_no_folder_of_links(tmp_path):
 def test_a_name_that_is_not_utf_8(refused, tmp_path, words):
     for name in (b"\xff.avi", b"\xff.jpg"):
         (tmp_path / os.fsdecode(name)).write_bytes(b"x")
-    said = refused(*words)
+    message = refused(*words)
     assert (
-        "the name is not UTF-8" in said or "not answer as a Khepera" in said or "sends back" in said
+        "the name is not UTF-8" in message
+        or "not answer as a Khepera" in message
+        or "sends back" in message
     )
 
 
@@ -317,5 +319,5 @@ def test_an_arena_of_too_many_obstacles(refused, tmp_path):
     obstacles = [[0.0, 0.0, 0.001]] * 20_000
     content = {"outline": square, "obstacles": obstacles}
     write_json(tmp_path / "arena.json", "neurosim-place", 1, content)
-    said = refused("lab", "khepera", "--place", "arena.json", "--seconds", "1")
-    assert "field 'obstacles': expected a list of at most 1,000, found" in said
+    message = refused("lab", "khepera", "--place", "arena.json", "--seconds", "1")
+    assert "field 'obstacles': expected a list of at most 1,000, found" in message

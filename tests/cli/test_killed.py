@@ -37,8 +37,8 @@ for line in sys.stdin:
     child = os.fork()
     if child == 0:
         os.chdir(asked["cwd"])
-        said = os.open("said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(said, 1), os.dup2(said, 2)
+        log = os.open("log.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(log, 1), os.dup2(log, 2)
         sys.argv = ["neurosim", *asked["words"]]
         code = 70
         try:
@@ -74,7 +74,7 @@ class Zygote:
         self._process.stdin.flush()
         code, seconds = json.loads(self._process.stdout.readline())
         if code not in (0, -signal.SIGKILL):
-            raise AssertionError((words, code, (folder / "said.txt").read_text()))
+            raise AssertionError((words, code, (folder / "log.txt").read_text()))
         return code, seconds
 
     def close(self):
@@ -150,12 +150,12 @@ def resumed(made):
 
 def sent(recording):
     """Return the motor command of each number."""
-    found = {}
+    results = {}
     for line in recording.commands().itertuples():
         if line.kind == "command":
             command = (line.left, line.right, line.duration)
-            assert found.setdefault(line.command, command) == command
-    return found
+            assert results.setdefault(line.command, command) == command
+    return results
 
 
 def test_a_recording(zygote, calibration, tmp_path):
@@ -196,9 +196,11 @@ def test_sampling(zygote, tmp_path):
         assert {path.name for path in runs[0].glob("*.csv")} == logs
         settings = [rows(run / "motors.csv", "left", "right") for run in runs]
         assert settings[0] == settings[1], after
-        found, wanted = (json.loads((run / "sampling.json").read_text())["result"] for run in runs)
-        assert found.keys() == wanted.keys()
-        assert found["wheel_base"] == pytest.approx(wanted["wheel_base"], rel=0.02)
+        content, wanted = (
+            json.loads((run / "sampling.json").read_text())["result"] for run in runs
+        )
+        assert content.keys() == wanted.keys()
+        assert content["wheel_base"] == pytest.approx(wanted["wheel_base"], rel=0.02)
         sizes = [
             {path.name: len(path.read_text().split()) for path in run.glob("*.sample")}
             for run in runs
@@ -210,8 +212,8 @@ def test_a_trial(zygote, calibration, tmp_path):
     plan = FixedPlan(((40.0, 40.0, 2.0), (40.0, -40.0, 0.5), (40.0, 40.0, 2.0), (-30.0, 30.0, 1.0)))
     task = {"name": "nine-rectangles", "settings": {}}
     poses = np.zeros((5, 3)).tolist()
-    said = {"poses": poses, "rest": poses[-1], "fitness": 9.0, "completes": False}
-    SavedController(plan, np.empty(0), task, (-0.8, 0.0, 1.5), said).write(tmp_path / "plan")
+    stated = {"poses": poses, "rest": poses[-1], "fitness": 9.0, "completes": False}
+    SavedController(plan, np.empty(0), task, (-0.8, 0.0, 1.5), stated).write(tmp_path / "plan")
     words = ["run", tmp_path / "plan", "--calibration", calibration, "--no-replan"]
     words += ["--camera-size", "320x240", "-o"]
 

@@ -50,30 +50,32 @@ def test_there_is_a_template_of_each_kind(made):
 def test_the_code_is_formatted_and_clean(made):
     ruff = ["-m", "ruff"]
     chosen = ["--select", "E,F,W,B,UP,SIM,RUF", "--ignore", "RUF043", "--line-length", "100"]
-    code, said, _ = run(made, *ruff, "check", "--isolated", *chosen, ".")
-    assert code == 0, said
-    code, said, _ = run(made, *ruff, "format", "--isolated", "--line-length", "100", "--diff", ".")
-    assert code == 0, said
+    code, message, _ = run(made, *ruff, "check", "--isolated", *chosen, ".")
+    assert code == 0, message
+    code, message, _ = run(
+        made, *ruff, "format", "--isolated", "--line-length", "100", "--diff", "."
+    )
+    assert code == 0, message
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_its_own_test_passes(made, kind):
-    code, said, _ = run(made, "-m", "pytest", "-q", "-p", "no:cacheprovider", NAMES[kind])
-    assert code == 0, said
-    assert re.search(r"^[2-9] passed", said, re.MULTILINE)
+    code, message, _ = run(made, "-m", "pytest", "-q", "-p", "no:cacheprovider", NAMES[kind])
+    assert code == 0, message
+    assert re.search(r"^[2-9] passed", message, re.MULTILINE)
 
 
 @pytest.mark.slow
 def test_the_robot_is_tried_at_once(made):
     name = NAMES["robot"]
     words = ["-m", "neurosim", "--plugin", f"{name}/driver.py", "check-robot", "--robot", name]
-    code, said, error = run(made, *words, "--json")
+    code, message, error = run(made, *words, "--json")
     assert code == 0, error
-    found = {one["what"]: one["verdict"] for one in json.loads(said)["findings"]}
-    assert found.pop("battery") == "unknown"
-    assert set(found.values()) == {"good"}
-    assert "self-stopping" in found
+    content = {one["what"]: one["verdict"] for one in json.loads(message)["findings"]}
+    assert content.pop("battery") == "unknown"
+    assert set(content.values()) == {"good"}
+    assert "self-stopping" in content
     recorded = ["--commands", "2", "--durations", "0.2..0.3", "--camera", "none"]
     words[4:] = ["record", "recording", "--robot", name, *recorded, "--at-line", "ignore"]
     code, _, error = run(made, *words)

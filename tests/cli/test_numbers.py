@@ -60,14 +60,14 @@ def commands(group=cli, path=()):
 
 
 def numeric():
-    found = {}
+    results = {}
     for path, command in commands():
         for words, option in options_of(command):
             kinds = numbers_of(option.type) if isinstance(option, click.Option) else []
             if kinds:
                 ends = tuple((kind.min, kind.max) for kind in kinds if hasattr(kind, "max"))
-                found.setdefault((path, option.opts[0], ends), (words, option, command))
-    return [(path, *rest) for (path, _, _), rest in found.items()]
+                results.setdefault((path, option.opts[0], ends), (words, option, command))
+    return [(path, *rest) for (path, _, _), rest in results.items()]
 
 
 NUMERIC = numeric()

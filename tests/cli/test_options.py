@@ -88,8 +88,8 @@ def command(begun=None):
     @click.option("--log", default="none")
     @resume_option
     def go(place, task, task_options, more, log, resume):
-        told = {"task": task, "options": task_options, "more": more, "log": log}
-        click.echo(json.dumps({**told, "given": given_options()}, default=str))
+        commanded = {"task": task, "options": task_options, "more": more, "log": log}
+        click.echo(json.dumps({**commanded, "given": given_options()}, default=str))
 
     return go
 
@@ -105,12 +105,12 @@ def help_of(*words):
 
 
 def test_name_type_default_and_help_are_those_of_the_settings():
-    found = {each.name: each for each in parameters(Walk)}
-    assert list(found) == ["steps", "pace", "side", "goals", "span", "reach", "width", "names"]
-    assert found["steps"].help == "How many steps."
-    assert found["pace"].help == "Of a step, metres per second; see Thing."
-    assert found["reach"].help == found["width"].help == "Sizes, m."
-    assert (found["steps"].default, found["names"].default) == (10, ["a", "b"])
+    by_name = {each.name: each for each in parameters(Walk)}
+    assert list(by_name) == ["steps", "pace", "side", "goals", "span", "reach", "width", "names"]
+    assert by_name["steps"].help == "How many steps."
+    assert by_name["pace"].help == "Of a step, metres per second; see Thing."
+    assert by_name["reach"].help == by_name["width"].help == "Sizes, m."
+    assert (by_name["steps"].default, by_name["names"].default) == (10, ["a", "b"])
     assert {each.name: each.default for each in parameters(Walk(steps=7))}["steps"] == 7
     assert [each.name for each in parameters(Swim)] == ["depth", "steps", "slow", "log"]
     assert parameters(Swim)[0].help == "How deep, m."
@@ -128,8 +128,8 @@ def test_the_command_gets_what_was_given_and_nothing_else():
 
 
 def test_only_the_options_of_what_is_chosen_are_there():
-    told = run("here", "--depth", "2", "--task", "swim", "--slow")
-    assert told["options"] == {"depth": 2, "slow": True}
+    given = run("here", "--depth", "2", "--task", "swim", "--slow")
+    assert given["options"] == {"depth": 2, "slow": True}
     shown, other = help_of(), help_of("--task", "swim")
     assert (
         "Options of --task walk: --steps INTEGER How many steps. [default: 10] [1<=x<=1000000]"
@@ -176,13 +176,13 @@ def test_what_makes_no_sense_is_a_usage_error(words):
 
 def test_an_option_of_the_same_name_as_another_is_named_after_its_choice():
     swim = ["here", "--task", "swim", "--depth", "1"]
-    told = run(*swim, "--log", "mine", "--task-log", "its", "--speed", "2")
-    assert told["log"] == "mine"
-    assert told["options"] == {"depth": 1, "log": "its"}
-    assert told["more"] == {"pace": 2}
+    given = run(*swim, "--log", "mine", "--task-log", "its", "--speed", "2")
+    assert given["log"] == "mine"
+    assert given["options"] == {"depth": 1, "log": "its"}
+    assert given["more"] == {"pace": 2}
     # Two groups that both have steps: the first has the name.
-    told = run(*swim, "--steps", "5", "--more-steps", "6")
-    assert (told["options"]["steps"], told["more"]["steps"]) == (5, 6)
+    given = run(*swim, "--steps", "5", "--more-steps", "6")
+    assert (given["options"]["steps"], given["more"]["steps"]) == (5, 6)
     assert "--more-steps INTEGER How many steps. [default: 99] [1<=x<=1000000]" in help_of(*swim)
 
 

@@ -17,8 +17,8 @@ QUICK = ("--trainer", "combined", "--members", "2")
 
 
 def block(language, place=0):
-    found = PAGE.read_text(encoding="utf-8").split(f"```{language}\n")[1 + place]
-    return found.split("```")[0]
+    result = PAGE.read_text(encoding="utf-8").split(f"```{language}\n")[1 + place]
+    return result.split("```")[0]
 
 
 def neurosim(*words):
@@ -35,8 +35,8 @@ def test_the_pages_example_runs_from_log_to_report(tmp_path, monkeypatch):
     exec(compile(block("python"), "own-data.md", "exec"), {})
     for line in block("sh").splitlines():
         command, *words = shlex.split(line)[1:]
-        result, said = neurosim(command, *words, *(QUICK if command == "train" else ()))
-        assert said == ""
+        result, message = neurosim(command, *words, *(QUICK if command == "train" else ()))
+        assert message == ""
         if command == "evaluate":
             errors = {
                 name: error["mean_absolute_error"] for name, error in result["errors"].items()
@@ -56,9 +56,9 @@ def test_the_pages_files_are_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("moves.csv").write_text(block("csv", 1))
     (words,) = [shlex.split(line)[1:] for line in block("sh", 1).splitlines()]
-    result, said = neurosim(*words)
+    result, message = neurosim(*words)
     assert (result["rows"], result["within"]) == (2, 0)
-    assert said == "warning: 2 rows; neurosim train needs at least 20\n"
+    assert message == "warning: 2 rows; neurosim train needs at least 20\n"
     dataset = Dataset.read("dataset")
     names = ["prev_vx", "prev_vy", "prev_w", "vx", "vy", "w", "duration"]
     units = ["m/s", "m/s", "rad/s", "m/s", "m/s", "rad/s", "s"]
@@ -153,9 +153,9 @@ def refused(refused):
 )
 def test_what_is_wrong_in_a_log_is_named(refused, old, new, says):
     assert old in LOG
-    said = refused(LOG.replace(old, new, 1))
-    assert "my.csv" in said
-    assert says in said
+    message = refused(LOG.replace(old, new, 1))
+    assert "my.csv" in message
+    assert says in message
 
 
 @pytest.mark.parametrize(
@@ -264,11 +264,11 @@ def test_units_that_look_wrong_are_warned_of(tmp_path, monkeypatch):
     moves = ("300,1,0.5,130,0,45\n", "280,0.9,0.5,121,0,40\n")
     rows = "v,w,duration,dx,dy,dtheta\n" + "".join(moves) * 15
     Path("rows.csv").write_text(rows)
-    result, said = neurosim("dataset", "--from", "csv", "rows.csv", "-o", "d")
-    assert "m/s: are --length m and --time s right?" in said
-    assert "turns at 90 rad/s: are --angle rad and --time s right?" in said
-    assert "the command v is up to 300 m/s: is that its unit?" in said
-    assert len(result["warnings"]) == said.count("warning: ") == 3
+    result, message = neurosim("dataset", "--from", "csv", "rows.csv", "-o", "d")
+    assert "m/s: are --length m and --time s right?" in message
+    assert "turns at 90 rad/s: are --angle rad and --time s right?" in message
+    assert "the command v is up to 300 m/s: is that its unit?" in message
+    assert len(result["warnings"]) == message.count("warning: ") == 3
     right = ("--length", "mm", "--angle", "deg", "--units", "v=mm/s")
     assert neurosim("dataset", "--from", "csv", "rows.csv", "-o", "e", *right)[1] == ""
     yaw = [170.0, 175.0, -180.0, -175.0] * 15
@@ -278,5 +278,5 @@ def test_units_that_look_wrong_are_warned_of(tmp_path, monkeypatch):
         for line, angle in zip(text[1:], yaw, strict=True)
     ]
     Path("log.csv").write_text("\n".join(log) + "\n")
-    said = neurosim("dataset", "--from", "csv", "log.csv", "-o", "f")[1]
-    assert "fit each other: they would with --angle deg" in said
+    message = neurosim("dataset", "--from", "csv", "log.csv", "-o", "f")[1]
+    assert "fit each other: they would with --angle deg" in message

@@ -41,8 +41,8 @@ def test_without_the_flashes_the_motion_gives_the_clock(pipeline, tmp_path):
     """Commands count as answered at once: the clock is behind by the radio's 20 ms, no more."""
     recording = tmp_path / "recording"
     shutil.copytree(pipeline / "recording", recording)
-    said = neurosim("track", recording, "--sync", "motion", "--json", cwd=tmp_path).stdout
-    clock = json.loads(said)["sessions"][0]["clock"]
+    message = neurosim("track", recording, "--sync", "motion", "--json", cwd=tmp_path).stdout
+    clock = json.loads(message)["sessions"][0]["clock"]
     assert clock["flashes"] == []
     poses, truth = Recording(recording).poses(), read_truth(recording)
     seen = poses.quality > 0

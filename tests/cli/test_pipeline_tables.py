@@ -248,15 +248,15 @@ def test_view(folder):
 def test_view_counts_what_the_network_was_evolved_for(folder, tmp_path):
     net = tmp_path / "net"
     shutil.copytree(folder / "net", net)
-    found = json.loads((net / "controller.json").read_text())
+    content = json.loads((net / "controller.json").read_text())
     words = ["view", folder / "sim", "--controller", net, "--pose", 15, 10, 90, "--seconds", 5]
-    found["task"]["settings"]["fitness"] = "cells"
-    (net / "controller.json").write_text(json.dumps(found))
+    content["task"]["settings"]["fitness"] = "cells"
+    (net / "controller.json").write_text(json.dumps(content))
     result = json.loads(call(*words, "-o", tmp_path / "x.png", "--json").stdout)
     path = np.array(result["path"])[:, :2]
     assert result["fitness"] == len(set(map(tuple, np.floor(path / 0.05))))
-    found["task"]["settings"]["fitness"] = "of-somebody-else"
-    (net / "controller.json").write_text(json.dumps(found))
+    content["task"]["settings"]["fitness"] = "of-somebody-else"
+    (net / "controller.json").write_text(json.dumps(content))
     with pytest.raises(FileError, match=r"task\.settings\.fitness.*found 'of-somebody-else'"):
         call(*words, "-o", tmp_path / "y.png")
     assert not (tmp_path / "y.png").exists()
@@ -308,14 +308,14 @@ def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path,
     assert hit.get_title("left") == "plan in sim, 1 contact (x)"
     crosses = [[line for line in axes.lines if line.get_marker() == "x"] for axes in (free, hit)]
     assert (len(crosses[0]), len(crosses[1])) == (0, 1)
-    said = call(
+    message = call(
         "view", folder / "sim", "--controller", folder / "net", "--pose", 15, 10, 90,
         "--seconds", 2, "-o", out, "--overwrite",
     ).stdout  # fmt: skip
-    fitness = f"fitness {float(said.split('fitness ')[1].split(',')[0]):z.4g}"
+    fitness = f"fitness {float(message.split('fitness ')[1].split(',')[0]):z.4g}"
     title = figures[-1].axes[0].get_title("left")
     assert title.startswith(f"net in sim, {fitness}, ")
-    assert title.endswith(said.strip().split(", ")[-1])
+    assert title.endswith(message.strip().split(", ")[-1])
 
 
 @pytest.mark.parametrize(
@@ -406,14 +406,16 @@ def test_a_network_drives_a_khepera_on_its_own_and_the_report_shows_its_path(fol
     path, commands = np.array(trial["actual"]["path"]), np.array(trial["commands"])
     assert len(commands) == 50
     assert len(path) == 52
-    way = np.linalg.norm(np.diff(path[:, 1:3], axis=0), axis=1).sum()
-    told = np.abs(commands[:, :2].mean(1)).sum() / 100 * 0.1 * 0.1  # 0.1 m/s at 100 %
-    assert 0.05 < way < 1.1 * told
+    distance = np.linalg.norm(np.diff(path[:, 1:3], axis=0), axis=1).sum()
+    commanded = np.abs(commands[:, :2].mean(1)).sum() / 100 * 0.1 * 0.1  # 0.1 m/s at 100 %
+    assert 0.05 < distance < 1.1 * commanded
     call("report", folder / "sim", folder / "net", tmp_path / "trial", "-o", tmp_path / "r.html")
     page = (tmp_path / "r.html").read_text()
     assert "Its path is that of its own counters." in page
-    drawn = re.findall(r'<path d="([^"]+)"[^>]*stroke: var\(--actual\)', page)
-    points = np.array(max((re.findall(r"(-?[\d.]+) (-?[\d.]+)", d) for d in drawn), key=len), float)
+    sampled = re.findall(r'<path d="([^"]+)"[^>]*stroke: var\(--actual\)', page)
+    points = np.array(
+        max((re.findall(r"(-?[\d.]+) (-?[\d.]+)", d) for d in sampled), key=len), float
+    )
     # In the picture it is as long and as wide as it was, y upwards.
     scale = np.ptp(points, axis=0) / np.ptp(path[:, 1:3], axis=0)
     assert scale[0] == pytest.approx(scale[1], rel=0.02)

@@ -74,9 +74,9 @@ def test_a_plan_is_evolved_checked_driven_and_drawn_in_one_place(tmp_path):
     call("report", tmp_path / "tables", tmp_path / "plan", tmp_path / "trial", "-o",
          tmp_path / "report.html")  # fmt: skip
     out = tmp_path / "plan.svg"
-    drawn = json.loads(
+    sampled = json.loads(
         call(
             "view", tmp_path / "tables", "--controller", tmp_path / "plan", "-o", out, "--json"
         ).stdout
     )
-    assert drawn["path"][0] == pytest.approx(place.start)
+    assert sampled["path"][0] == pytest.approx(place.start)

@@ -71,8 +71,8 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipel
     assert [sent[number] for number in range(15)] == chosen["commands"]
     source = RandomCommands(seed=4)
     for number, command in enumerate(chosen["commands"], start=30):
-        drawn = [source.command(8 * number + k) for k in range(8)]
-        assert command in [list(c.row) for c in drawn]
+        commands_sampled = [source.command(8 * number + k) for k in range(8)]
+        assert command in [list(c.row) for c in commands_sampled]
     for recording in recordings:
         truth = read_truth(recording.path, recording.sessions)  # a killed session has none
         place = np.abs(truth.poses[:, :2])

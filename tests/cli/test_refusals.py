@@ -51,13 +51,13 @@ def edit(path, old, new, count=1):
 
 
 def test_a_name_that_is_misspelt_is_answered_with_all_names(refused):
-    said = refused("record", "r", "--robot", "NXT")
-    assert "there is no robot 'NXT'; choose from virtual, virtual-khepera, " in said
-    assert " nxt, khepera, " in said
-    said = refused("evolve", "s", "-o", "p", "--reality", "robo", "--robot-generations", "2")
-    assert "there is no reality 'robo'; choose from " in said
-    assert "virtual-walker" in said
-    assert " khepera, " in said
+    message = refused("record", "r", "--robot", "NXT")
+    assert "there is no robot 'NXT'; choose from virtual, virtual-khepera, " in message
+    assert " nxt, khepera, " in message
+    message = refused("evolve", "s", "-o", "p", "--reality", "robo", "--robot-generations", "2")
+    assert "there is no reality 'robo'; choose from " in message
+    assert "virtual-walker" in message
+    assert " khepera, " in message
 
 
 def test_a_missing_controller_is_named_before_a_missing_calibration(refused):
@@ -68,21 +68,23 @@ def test_no_brick_is_found(refused, monkeypatch):
     import usb.core
 
     monkeypatch.setattr(usb.core, "find", lambda **_: iter(()))
-    said = refused("record", "r", "--robot", "nxt", "--camera", "none")
-    assert "brick" in said
-    assert "--host" in said or "Bluetooth" in said
+    message = refused("record", "r", "--robot", "nxt", "--camera", "none")
+    assert "brick" in message
+    assert "--host" in message or "Bluetooth" in message
 
 
 @posix
 def test_a_device_file_that_is_no_brick(refused):
-    said = refused("record", "r", "--robot", "nxt", "--filename", "/dev/null", "--camera", "none")
-    assert "/dev/null" in said
+    message = refused(
+        "record", "r", "--robot", "nxt", "--filename", "/dev/null", "--camera", "none"
+    )
+    assert "/dev/null" in message
 
 
 def test_a_robot_that_no_driver_knows(refused):
-    said = refused("record", "r", "--robot", "roomba", "--camera", "none")
-    assert "'roomba'" in said
-    assert "nxt" in said
+    message = refused("record", "r", "--robot", "roomba", "--camera", "none")
+    assert "'roomba'" in message
+    assert "nxt" in message
 
 
 @posix
@@ -118,10 +120,10 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["neurosim", "record", "r", "--commands", "16"])
     with pytest.raises(SystemExit) as stop:
         main()
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert stop.value.code == 1
-    assert "stopped answering" in said
-    assert "Traceback" not in said
+    assert "stopped answering" in message
+    assert "Traceback" not in message
     # What was recorded is there, and goes on.
     from tracking.datasets.recordings import Recording
 
@@ -136,8 +138,8 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
 
 
 def test_a_real_robots_option_without_a_real_robot(refused):
-    said = refused("record", "r", "--host", "00:16:53:01:02:03", "--commands", 1)
-    assert "--robot virtual has no option --host: leave it out, or choose --robot nxt" in said
+    message = refused("record", "r", "--host", "00:16:53:01:02:03", "--commands", 1)
+    assert "--robot virtual has no option --host: leave it out, or choose --robot nxt" in message
     assert "--camera" in refused("record", "r", "--camera", "0")
 
 
@@ -187,8 +189,8 @@ def test_a_calibration_is_looked_at_before_anything_moves(refused, copy, tmp_pat
     monkey = json.loads((tmp_path / "calibration.json").read_text())
     monkey["rotation"] = monkey["translation"] = monkey["homography"] = None
     (tmp_path / "lens.json").write_text(json.dumps(monkey))
-    said = refused("run", "controller", "-o", "t", "--calibration", "lens.json")
-    assert "lens.json" in said
+    message = refused("run", "controller", "-o", "t", "--calibration", "lens.json")
+    assert "lens.json" in message
 
 
 def test_a_plan_is_planned_again_in_a_simulator_only(refused, copy, tmp_path):
@@ -207,9 +209,9 @@ def test_a_plan_is_planned_again_in_a_simulator_only(refused, copy, tmp_path):
     assert "need --replan" in refused(*words, "--no-replan", "--think", "0.2")
     copy("simulator")
     for option, value in (("--replan-generations", "0"), ("--push", "3")):
-        found = CliRunner().invoke(cli, [*words, "--simulator", "simulator", option, value])
-        assert found.exit_code == 2
-        assert f"Invalid value for '{option}'" in found.output
+        finished = CliRunner().invoke(cli, [*words, "--simulator", "simulator", option, value])
+        assert finished.exit_code == 2
+        assert f"Invalid value for '{option}'" in finished.output
 
 
 def test_markers_that_the_virtual_robot_does_not_carry(refused):
@@ -240,10 +242,10 @@ def test_a_closed_terminal_stops_the_motors(tmp_path, name):
         wait_until(lambda: log.exists() and ",command," in log.read_text(), "a command")
         wait_until(lambda: turned(rig) != (0, 0), "the robot's first turn of a wheel")
         child.send_signal(getattr(signal, name))
-        _, said = child.communicate(timeout=PATIENCE)
+        _, stderr = child.communicate(timeout=PATIENCE)
         assert child.returncode == 128 + getattr(signal, name)
-        assert "interrupted" in said
-        assert "Traceback" not in said
+        assert "interrupted" in stderr
+        assert "Traceback" not in stderr
         # In the lab's time, which lags behind on a busy computer.
         now = rig.lab.clock.now()
         rig.lab.clock.sleep_until(now + 0.7)
@@ -356,9 +358,9 @@ def make_video(path, frames):
 def test_a_video_without_markers(refused, copy):
     video = copy("recording") / "video-001.avi"
     make_video(video, [np.full((480, 640, 3), 90, np.uint8)] * 60)
-    said = refused("track", "recording")
-    assert "video-001.avi" in said
-    assert "pink" in said
+    message = refused("track", "recording")
+    assert "video-001.avi" in message
+    assert "pink" in message
 
 
 def test_a_video_without_a_flash(refused, copy):
@@ -367,8 +369,8 @@ def test_a_video_without_a_flash(refused, copy):
     frames = [capture.read()[1] for _ in range(400)]
     make_video(recording / "video-001.avi", frames[120:])
     (recording / "frames.csv").unlink()
-    said = refused("track", "recording")
-    assert "flash" in said
+    message = refused("track", "recording")
+    assert "flash" in message
 
 
 def test_a_video_of_zero_frames(refused, copy):
@@ -385,9 +387,9 @@ def test_a_video_that_was_cut_short(refused, copy, monkeypatch, capsys):
     video = copy("recording") / "video-001.avi"
     whole = video.read_bytes()
     video.write_bytes(whole[: len(whole) // 2])
-    said = refused("track", "recording")
-    assert "video-001.avi ends after" in said
-    assert "--partial" in said
+    message = refused("track", "recording")
+    assert "video-001.avi ends after" in message
+    assert "--partial" in message
     # As far as it goes it can be used.
     monkeypatch.setattr(sys, "argv", ["neurosim", "track", "recording", "--partial", "--json"])
     main()
@@ -404,9 +406,10 @@ def test_frame_times_that_were_cut_short(refused, copy, rows):
     path = copy("recording") / "frames.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(lines[: 1 + rows]))
-    said = refused("track", "recording")
+    message = refused("track", "recording")
     assert (
-        f"frames.csv: has {rows} rows of session 1, but video-001.avi has {len(lines) - 1}" in said
+        f"frames.csv: has {rows} rows of session 1, but video-001.avi has {len(lines) - 1}"
+        in message
     )
 
 
@@ -416,9 +419,9 @@ def test_a_clock_that_goes_backwards(refused, copy):
     lines[20], lines[21] = lines[21], lines[20]
     path.write_text("\n".join(lines) + "\n")
     for words in (("track", "recording"), ("dataset", "recording", "-o", "d")):
-        said = refused(*words)
-        assert "line 22" in said
-        assert "backwards" in said
+        message = refused(*words)
+        assert "line 22" in message
+        assert "backwards" in message
 
 
 @pytest.mark.parametrize(
@@ -431,9 +434,9 @@ def test_a_clock_that_goes_backwards(refused, copy):
 )
 def test_a_table_that_is_wrong_somewhere(refused, copy, name, old, new, says):
     edit(copy("recording") / name, old, new)
-    said = refused("dataset", "recording", "-o", "d")
-    assert name in said
-    assert says in said
+    message = refused("dataset", "recording", "-o", "d")
+    assert name in message
+    assert says in message
 
 
 def test_a_recording_that_was_not_tracked(refused, copy):
@@ -459,8 +462,8 @@ def test_a_word_where_a_number_belongs(refused, copy, word):
     fields[lines[0].split(",").index("dx")] = word
     lines[7] = ",".join(fields)
     path.write_text("\n".join(lines) + "\n")
-    said = refused("train", "dataset", "-o", "s", "--members", 2)
-    assert "line 8, field 'dx'" in said
+    message = refused("train", "dataset", "-o", "s", "--members", 2)
+    assert "line 8, field 'dx'" in message
 
 
 def test_a_simulator_of_another_version_or_cut_in_half(refused, copy):
@@ -497,8 +500,10 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
     write_csv(
         tmp_path / "points.csv", {"u": [1, 2, 3], "v": [1, 2, 3], "x": [0, 1, 2], "y": [0, 1, 2]}
     )
-    said = refused("calibrate", "photographs", "--square", 40, "--points", "points.csv", "-o", "c")
-    assert "points" in said
+    message = refused(
+        "calibrate", "photographs", "--square", 40, "--points", "points.csv", "-o", "c"
+    )
+    assert "points" in message
     done = CliRunner().invoke(cli, ["calibrate", "photographs", "--point", "1,2,3"])
     assert (done.exit_code, "'1,2,3': expected U,V,X,Y" in done.stderr) == (2, True)
     assert "--board needs --corners" in refused("calibrate", "photographs", "--board", "1x1")
@@ -526,9 +531,9 @@ def test_a_report_of_a_simulator_whose_weights_are_damaged(refused, copy):
 def test_a_dataset_of_two_robots(refused, copy, tmp_path):
     copy("recording").rename(tmp_path / "a")
     edit(copy("recording") / "recording.json", '"robot_seed": 0', '"robot_seed": 1')
-    said = refused("dataset", "a", "recording", "-o", "d")
-    assert "a and recording are of different robots (robot of the lab: 0 and 1)" in said
-    assert "--mixed" in said
+    message = refused("dataset", "a", "recording", "-o", "d")
+    assert "a and recording are of different robots (robot of the lab: 0 and 1)" in message
+    assert "--mixed" in message
 
 
 @pytest.mark.parametrize("by", ["cause", "context"])
@@ -546,10 +551,10 @@ def test_ctrl_c_within_compiled_code_is_an_interruption_however_often_it_is_wrap
     monkeypatch.setattr(cli, "main", wrapped)
     with pytest.raises(SystemExit) as stop:
         main()
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert stop.value.code == 130
-    assert said.count("\n") == 1
-    assert "run the command again with --resume" in said
+    assert message.count("\n") == 1
+    assert "run the command again with --resume" in message
 
 
 def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
@@ -611,6 +616,6 @@ def test_what_numpy_warns_of_does_not_reach_the_terminal(tmp_path):
         [sys.executable, "-m", "neurosim", *words], capture_output=True, text=True, check=False
     )
     assert child.returncode == 1
-    said = child.stderr.splitlines()
-    assert len(said) == 1
-    assert "the samples at left -100 %, right -100 % give no speed" in said[0]
+    stderr = child.stderr.splitlines()
+    assert len(stderr) == 1
+    assert "the samples at left -100 %, right -100 % give no speed" in stderr[0]

@@ -192,8 +192,8 @@ def test_a_plan_that_gives_no_command_stays_where_it_is(slots, simulator, tmp_pa
     assert driven.poses.shape == (1, 1, 2, 3)
     assert np.isfinite(driven.poses).all()
     assert not judged.success[0, 0]
-    found = check(plan, simulator(), task, draws=20)
-    assert (found.probability, found.after) == (0.0, (1,))
+    checked = check(plan, simulator(), task, draws=20)
+    assert (checked.probability, checked.after) == (0.0, (1,))
     with pytest.raises(UserError, match="without any command cannot be written"):
         plan.write(tmp_path / "plan")
 
@@ -237,11 +237,11 @@ def test_recurrent_networks_by_hand(dynamics):
     own = [0.7] if dynamics == "ctrnn" else []
     genes = torch.tensor([[*own, 2.0, -1.5, 0.3, 1.2, -0.4]], dtype=torch.float64)
     memory, state = family.start(1), 0.0
-    share = 1 / (1 + np.exp(0.7)) if own else 1.0
+    fraction = 1 / (1 + np.exp(0.7)) if own else 1.0
     for seen in (0.5, -0.25, 1.0):
         row = torch.tensor([[seen]], dtype=torch.float64)
         command, memory = family.act(genes, row, memory)
-        state += share * (2.0 * seen - 1.5 * np.tanh(state) + 0.3 - state)
+        state += fraction * (2.0 * seen - 1.5 * np.tanh(state) + 0.3 - state)
         assert memory.item() == pytest.approx(state)
         assert command.item() == pytest.approx(10 * np.tanh(1.2 * np.tanh(state) - 0.4))
 
@@ -271,10 +271,10 @@ def test_networks_that_cannot_be_are_refused(make, message):
 def test_a_plan_is_the_genes_that_it_is_encoded_in():
     family = Plan(slots=3)
     commands = ((50.0, -25.0, 1.25), None, (0.0, 10.0, 3.0))
-    found, active = family.commands(family.encode(commands)[None], 0.5)
+    result, active = family.commands(family.encode(commands)[None], 0.5)
     assert active[0].tolist() == [True, False, True, False]
-    assert found[0, [0, 2]].tolist() == [list(commands[0]), list(commands[2])]
-    assert found[0, 3].tolist() == [0.0, 0.0, 0.5]
+    assert result[0, [0, 2]].tolist() == [list(commands[0]), list(commands[2])]
+    assert result[0, 3].tolist() == [0.0, 0.0, 0.5]
 
 
 CAR = {"names": ("speed", "steer"), "units": ("m/s", "rad"), "limits": ((-0.1, 0.3), (-0.4, 0.4))}
@@ -285,10 +285,10 @@ def test_a_plan_of_a_car_has_its_numbers_and_holds_its_steering_when_it_stops(tm
     assert family.outputs == ("speed", "steer", "duration")
     commands = ((0.3, -0.4, 1.25), (-0.0512, 0.1234, 3.0), None)
     genes = family.encode(commands)
-    found, active = family.commands(genes[None], 0.5)
+    result, active = family.commands(genes[None], 0.5)
     assert active[0].tolist() == [True, True, False, False]
-    assert found[0, :2].tolist() == [pytest.approx(one) for one in commands[:2]]
-    assert found[0, 3].tolist() == [0.0, 0.1234, 0.5]
+    assert result[0, :2].tolist() == [pytest.approx(one) for one in commands[:2]]
+    assert result[0, 3].tolist() == [0.0, 0.1234, 0.5]
     extremes = family.commands(np.random.default_rng(1).integers(0, 2, (50, 12)) * 1.0, 0.0)[0]
     assert np.unique(extremes[..., 0]).tolist() == [-0.1, 0.3]
     nothing = family.commands(family.encode([None] * 3)[None], 0.5)[0]

@@ -20,9 +20,9 @@ def test_a_leg_hangs_straight_down_and_folds_as_its_docstring_says():
 def test_inverse_kinematics_undoes_forward_kinematics(knee):
     rng = np.random.default_rng(0)
     angles = rng.uniform([-1, -0.1, 0.2], [1, 0.8, 2.0], (200, 3)) * [1, 1, knee]
-    found, reached = angles_of(foot(angles), np.full(200, knee))
+    result, reached = angles_of(foot(angles), np.full(200, knee))
     assert reached.all()
-    np.testing.assert_allclose(found, angles, atol=1e-12)
+    np.testing.assert_allclose(result, angles, atol=1e-12)
 
 
 def test_out_of_reach_is_said_and_cut_to_what_the_joints_allow():
@@ -54,8 +54,8 @@ def test_shape_goes_from_half_ellipse_to_trapezoid():
     heights = []
     for shape in (0.0, 1.0):
         feet, times, cycle = gait.loci(gait.genes_of(dict(values, shape=shape)))
-        up, share = feet[0, :, 2] + 0.095, 0.06 / cycle
-        lifted = np.argmin(np.abs(times - 0.55 - share))
+        up, fraction = feet[0, :, 2] + 0.095, 0.06 / cycle
+        lifted = np.argmin(np.abs(times - 0.55 - fraction))
         swing = (times[lifted] - 0.55) / 0.45
         expected = 0.02 if shape else 0.02 * np.sin(np.pi * swing)
         assert up[lifted] == pytest.approx(expected)

@@ -15,13 +15,13 @@ VALUES = {"amp": 100.0, "tau": 4.0, "scale_in_out": 1.5, "mult_fb": -0.5, "mult_
 def test_positions_by_hand():
     """After a quarter of the period the wave is 100, of outer servos 150; at its end it is 0."""
     gait = SineGait()
-    found = gait.positions(gait.from_named(VALUES)[None], np.array([1.0, 4.0]))
+    result = gait.positions(gait.from_named(VALUES)[None], np.array([1.0, 4.0]))
     leg_one = [800 + 0.8 * 100, 40 + 0.8 * 150]
     leg_two = [800 - 0.5 * 100, 40 - 0.5 * 150]
     leg_three = [800 + 100, 40 + 150]
     leg_four = [800 - 0.5 * 0.8 * 100, 40 - 0.5 * 0.8 * 150]
-    np.testing.assert_allclose(found[0, 0], [*leg_one, *leg_two, *leg_three, *leg_four, 512])
-    np.testing.assert_allclose(found[0, 1], [800, 40] * 4 + [512], atol=1e-10)
+    np.testing.assert_allclose(result[0, 0], [*leg_one, *leg_two, *leg_three, *leg_four, 512])
+    np.testing.assert_allclose(result[0, 1], [800, 40] * 4 + [512], atol=1e-10)
 
 
 def test_commands_are_whole_positions_within_the_limits_as_angles():
@@ -37,10 +37,10 @@ def test_a_trial_begins_and_ends_in_the_crouch():
     """Half of the way after half a second, and one second before the end."""
     gait = SineGait(seconds=12.0)
     genes = gait.from_named(VALUES | {"amp": 0.0})[None]
-    found = gait.over(genes, np.array([0.0, 12.0, 0.5, 11.0, 6.0]))[0]
-    np.testing.assert_allclose(found[:2], np.tile(angles_of(READY), (2, 1)))
+    result = gait.over(genes, np.array([0.0, 12.0, 0.5, 11.0, 6.0]))[0]
+    np.testing.assert_allclose(result[:2], np.tile(angles_of(READY), (2, 1)))
     # The crouch is 770 and 40, the gait without a wave 800 and 40: 770 and 40 everywhere.
-    np.testing.assert_allclose(found[2:], np.tile(angles_of(READY), (3, 1)))
+    np.testing.assert_allclose(result[2:], np.tile(angles_of(READY), (3, 1)))
     genes = gait.from_named(VALUES)[None]
     half = gait.positions(genes, np.array([11.0]))[0, 0]
     expected = angles_of(READY + 0.5 * (half - READY))
@@ -53,10 +53,10 @@ def test_acting_is_the_same_as_all_commands_at_once():
     genes = np.random.default_rng(0).uniform(size=(4, 5))
     times = np.array([0.1, 0.1, 2.0, 3.3])
     seen = torch.from_numpy(times[:, None])
-    found, _ = gait.act(torch.from_numpy(genes), seen, gait.start(4))
+    result, _ = gait.act(torch.from_numpy(genes), seen, gait.start(4))
     whole = gait.over(genes, times)
-    np.testing.assert_allclose(found.numpy(), whole[range(4), range(4)])
-    assert found.shape == (4, len(JOINTS)) == (4, len(LIMITS))
+    np.testing.assert_allclose(result.numpy(), whole[range(4), range(4)])
+    assert result.shape == (4, len(JOINTS)) == (4, len(LIMITS))
     assert gait.settings() == {"seconds": 6.0}
 
 

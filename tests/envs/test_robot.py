@@ -22,7 +22,7 @@ def test_a_khepera_is_driven_as_its_simulator_is():
     with pytest.raises(ns.UserError, match="left = 500"):
         robot.reset(seed=1)
         robot.step(np.array([500.0, 0.0]))
-    ways = []
+    distances = []
     for env in (robot, model):
         seen, _ = env.reset(seed=1)
         assert seen in env.observation_space
@@ -34,9 +34,9 @@ def test_a_khepera_is_driven_as_its_simulator_is():
         assert steps == 12
         assert not terminated
         assert info["progress"] == pytest.approx(total)
-        ways.append(total)
-    assert ways[0] == pytest.approx(ways[1], abs=3.0)  # of 3.6, had nothing been near
-    assert min(ways) > 0
+        distances.append(total)
+    assert distances[0] == pytest.approx(distances[1], abs=3.0)  # of 3.6, had nothing been near
+    assert min(distances) > 0
     robot.close()
     with pytest.raises(ns.UserError, match="closed"):
         robot.reset()

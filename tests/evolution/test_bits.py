@@ -16,8 +16,8 @@ def test_bit_strings_by_hand():
     strings = encode(np.array([0.0, 1.0, 5.0 / 7.0]), 3)
     assert strings.astype(int).tolist() == [0, 0, 0, 1, 1, 1, 1, 0, 1]
     np.testing.assert_allclose(decode(strings, 3), [0.0, 1.0, 5.0 / 7.0])
-    shares = np.random.default_rng(0).random((4, 6))
-    assert np.abs(decode(encode(shares, 8), 8) - shares).max() <= 0.5 / 255 + 1e-12
+    fractions = np.random.default_rng(0).random((4, 6))
+    assert np.abs(decode(encode(fractions, 8), 8) - fractions).max() <= 0.5 / 255 + 1e-12
 
 
 def test_linear_scaling_by_hand():

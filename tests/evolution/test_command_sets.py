@@ -144,8 +144,8 @@ def test_commands_survive_encoding():
     genes = encode(plan, low, high, (0.5, 3.0))
     commands, given_ = decode(genes[None], low, high, np.ones(2), 0.5, 3.0)
     assert given_[0].tolist() == [True, False, True, True]
-    for found, expected in zip(commands[0], plan, strict=True):
-        assert expected is None or found == pytest.approx(expected)
+    for each_result, expected in zip(commands[0], plan, strict=True):
+        assert expected is None or each_result == pytest.approx(expected)
 
 
 def test_commands_of_three_numbers_survive_encoding():
@@ -155,5 +155,5 @@ def test_commands_of_three_numbers_survive_encoding():
     assert genes.shape == (15,)
     commands, given_ = decode(genes[None], low, high, np.full(3, 1e4), 0.5, 3.0)
     assert given_[0].tolist() == [True, False, True]
-    for found, expected in zip(commands[0], plan, strict=True):
-        assert expected is None or found == pytest.approx(expected)
+    for each_result, expected in zip(commands[0], plan, strict=True):
+        assert expected is None or each_result == pytest.approx(expected)

@@ -14,8 +14,8 @@ def seeded(seed=0):
 def test_a_tournament_picks_the_best_of_its_draw(population, size, count, seed):
     fitness = torch.randn(population, generator=seeded(seed + 1))
     winners = tournament(fitness, size, count, seeded(seed))
-    drawn = torch.randint(population, (count, size), generator=seeded(seed))
-    for winner, draw in zip(winners.tolist(), drawn.tolist(), strict=True):
+    random = torch.randint(population, (count, size), generator=seeded(seed))
+    for winner, draw in zip(winners.tolist(), random.tolist(), strict=True):
         assert winner in draw
         assert fitness[winner] == max(fitness[i] for i in draw)
 

@@ -48,9 +48,9 @@ def test_onnxruntime_is_near(exported):
         state, noise = given(simulator, commands)
         parts = 1 if simulator.drive is None else parts  # a step is a whole command
         expected = drive(ours(simulator), state, commands, noise, parts)
-        found = drive(step, state.float(), commands, noise, parts)
-        assert torch.linalg.norm((found - expected)[..., :2], dim=-1).max() < 1e-4
-        assert (found - expected)[..., 2].abs().max() < 1e-3
+        driven = drive(step, state.float(), commands, noise, parts)
+        assert torch.linalg.norm((driven - expected)[..., :2], dim=-1).max() < 1e-4
+        assert (driven - expected)[..., 2].abs().max() < 1e-3
 
 
 def test_the_page_runs_without_neurosim(exported):

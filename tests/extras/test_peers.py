@@ -37,15 +37,15 @@ def test_genetic_algorithms():
 def test_a_simulator_of_the_same_robot_in_jax():
     rows = measured("table_rollout.py", "--quick")["rows"]
     for name in ("ours, noise uniform", "PyTorch", "Kheperax (JAX)"):
-        found = [row["steps_per_second"] for row in rows if row["name"] == name]
-        assert len(found) == 2
-        assert min(found) > 0
+        result = [row["steps_per_second"] for row in rows if row["name"] == name]
+        assert len(result) == 2
+        assert min(result) > 0
 
 
 def test_rollouts_of_a_rigid_body_engine():
     rows = measured("planner_speed.py", "--quick")["rows"]
-    (found,) = (row for row in rows if row["name"].startswith("MuJoCo"))
-    assert found["physics_steps_per_second"] > found["command_steps_per_second"] > 0
+    (result,) = (row for row in rows if row["name"].startswith("MuJoCo"))
+    assert result["physics_steps_per_second"] > result["command_steps_per_second"] > 0
 
 
 def test_a_gaussian_process_beside_the_simulator_of_a_real_quadruped(shared_data):
@@ -65,8 +65,8 @@ def test_the_zoo_measured_in_parts_is_the_zoo_measured_at_once(tmp_path):
         return measured(*words, *more)["rows"]["30"]["robots"]["late"]["learners"]
 
     learners("--learners", "fitted,process+u", *peers)
-    found = learners("--learners", "lagged,process+l", *peers)
-    assert found == learners(*("--learners", "fitted,process+u,lagged,process+l"), *peers)
+    result = learners("--learners", "lagged,process+l", *peers)
+    assert result == learners(*("--learners", "fitted,process+u,lagged,process+l"), *peers)
     # A robot that answers late, with a lag: these two know of both, the others do not.
-    assert found["lagged"]["ratio"] < found["fitted"]["ratio"]
-    assert found["process+l"]["ratio"] < found["process+u"]["ratio"]
+    assert result["lagged"]["ratio"] < result["fitted"]["ratio"]
+    assert result["process+l"]["ratio"] < result["process+u"]["ratio"]

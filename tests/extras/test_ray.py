@@ -72,8 +72,8 @@ def test_a_worker_is_killed_in_the_middle(cluster, simulator, tmp_path):
     genes = genes_of(plan, 4500)  # seven parts
     expected = evaluate(simulator, NineRectangles(), plan, samples=SAMPLES)(genes)
     given = {"samples": SAMPLES, "workers": "ray"}
-    found = evaluate(simulator, Deadly(), plan, **given)(genes)
-    np.testing.assert_array_equal(found, expected)
+    result = evaluate(simulator, Deadly(), plan, **given)(genes)
+    np.testing.assert_array_equal(result, expected)
     judged = [name.split("-")[1] for name in os.listdir(folder) if name != "killed"]
     assert (tmp_path / "killed").exists()
     assert len(judged) >= 8  # one of the seven twice
@@ -85,17 +85,17 @@ def test_runs_of_an_evolution_by_the_command(cluster, simulator, tmp_path):
     write_simulator(simulator, tmp_path / "simulator")
     words = ["evolve", str(tmp_path / "simulator"), "--generations", "3", "--runs", "2"]
     words += ["--population", "2000", "--robust", "--robust-generations", "2", "--draws", "32"]
-    found = []
+    results = []
     for workers in ("local", "ray"):
         out = tmp_path / workers
         done = CliRunner().invoke(
             cli, [*words, "--extrapolate", "--workers", workers, "-o", str(out)]
         )
         assert done.exception is None, done.exception
-        found.append(json.loads((out / "controller.json").read_text()))
-    for one in found:
+        results.append(json.loads((out / "controller.json").read_text()))
+    for one in results:
         one.pop("created", None)
-    assert found[0] == found[1]
+    assert results[0] == results[1]
 
 
 MINE = """
@@ -118,8 +118,8 @@ def test_what_a_file_registers_is_sent_along(cluster, simulator, tmp_path):
     run_plugin(tmp_path / "mine.py")
     task, plan = sys.modules["neurosim_plugin_mine"].Mine(), Plan(slots=3)
     genes = genes_of(plan, 50)
-    found = evaluate(simulator, task, plan, workers="ray")(genes)
-    np.testing.assert_array_equal(found, evaluate(simulator, task, plan)(genes))
+    result = evaluate(simulator, task, plan, workers="ray")(genes)
+    np.testing.assert_array_equal(result, evaluate(simulator, task, plan)(genes))
 
 
 @pytest.mark.parametrize("cluster", [2], indirect=True)

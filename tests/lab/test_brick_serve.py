@@ -125,12 +125,12 @@ def test_nxt_test_passes(kind):
     world = World()
     with kind(world.radio) as server:
         if kind is PtyServer:
-            way = ["--backend", "devfile", "--filename", server.path]
+            arguments = ["--backend", "devfile", "--filename", server.path]
         else:
             host, port = "localhost", str(server.address[1])
-            way = ["--backend", "socket", "--server-host", host, "--server-port", port]
+            arguments = ["--backend", "socket", "--server-host", host, "--server-port", port]
         done = subprocess.run(
-            [sys.executable, "-m", "nxt.command.test", *way],
+            [sys.executable, "-m", "nxt.command.test", *arguments],
             capture_output=True,
             text=True,
             timeout=PATIENCE,

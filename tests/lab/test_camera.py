@@ -42,8 +42,8 @@ def test_marker_is_painted_where_it_projects(camera, pose, marker):
     centre = in_view(camera, pose, marker)
     pixels, colours = around(frame, centre, 7.2)
     weights = (colours.sum(1) - 66.0).clip(0)  # what is brighter than the black backing
-    found = (weights[:, None] * pixels).sum(0) / weights.sum()
-    assert np.hypot(*(found - centre)) < 0.1
+    result = (weights[:, None] * pixels).sum(0) / weights.sum()
+    assert np.hypot(*(result - centre)) < 0.1
 
 
 def test_markers_have_their_colours_and_fade_to_white(camera):
@@ -145,8 +145,8 @@ def test_lamp_switched_on_within_an_exposure_shows_partly():
     pose = lab.body.pose
     levels = np.array([glow(frame, lab.camera, pose) for frame in frames])
     assert levels[0] == levels[1]
-    share = (levels[2] - levels[0]) / (levels[3] - levels[0])
-    assert share == pytest.approx(0.75, abs=0.06)
+    fraction = (levels[2] - levels[0]) / (levels[3] - levels[0])
+    assert fraction == pytest.approx(0.75, abs=0.06)
 
 
 @pytest.mark.parametrize("length", [4.0, 9.0])

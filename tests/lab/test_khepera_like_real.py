@@ -21,11 +21,11 @@ def sampled(seed, arena, samples):
     """Sample a drawn robot as the published samples were taken, [D, A, 8]."""
     params, rng = KheperaParams.sampled(seed), np.random.default_rng(seed)
     distances, angles, _ = samples.activations.shape
-    found = np.empty(samples.activations.shape)
+    out = np.empty(samples.activations.shape)
     for distance in range(distances):
         away = samples.first_distance + distance * samples.distance_step
         for angle in range(angles):
-            found[distance, angle] = physics.proximity(
+            out[distance, angle] = physics.proximity(
                 np.array([-RADIUS - away, 0.0, 2 * math.pi * angle / angles]),
                 params.angle,
                 params.reach,
@@ -38,7 +38,7 @@ def sampled(seed, arena, samples):
                 WHITE,
                 rng,
             )
-    return found / 1023
+    return out / 1023
 
 
 def half_distance(activations):

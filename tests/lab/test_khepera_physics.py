@@ -117,15 +117,15 @@ def test_positions_are_reached_and_held():
 
 def test_slip_has_its_spread():
     params = KheperaParams.ideal(slip=0.02)
-    ways = []
+    distances = []
     for seed in range(200):
         robot = body(params, seed=seed)
         robot.set_speeds(10, 10)
         robot.advance(4.0)
-        ways.append(robot.pose[0])
+        distances.append(robot.pose[0])
     # A mean over T of a process with correlation time t has the variance 2 t / T of its own;
     # that of the robot is half a wheel's.
-    assert np.std(ways) / 0.4 == pytest.approx(0.02 * math.sqrt(0.3 / 4.0), rel=0.2)
+    assert np.std(distances) / 0.4 == pytest.approx(0.02 * math.sqrt(0.3 / 4.0), rel=0.2)
 
 
 def test_against_a_wall_the_encoders_count_on():
@@ -139,7 +139,7 @@ def test_against_a_wall_the_encoders_count_on():
 
 
 def test_along_a_wall_it_slides_and_friction_holds_it_back():
-    ways = {}
+    distances = {}
     for friction in (0.0, 0.3):
         arena = Place(walls=((-5.0, 0.055, 5.0, 0.055),))
         robot = body(KheperaParams.ideal(friction=friction), arena, (0.0, 0.0, math.pi / 4))
@@ -147,10 +147,10 @@ def test_along_a_wall_it_slides_and_friction_holds_it_back():
         robot.advance(3.0)
         x, y, _ = robot.pose
         assert y == pytest.approx(0.05 - RADIUS, abs=1e-6)
-        ways[friction] = x
+        distances[friction] = x
     along = 0.1 * (3.0 - LAG) / math.sqrt(2.0)
-    assert ways[0.0] == pytest.approx(along, rel=1e-3)
-    assert ways[0.3] < 0.8 * along
+    assert distances[0.0] == pytest.approx(along, rel=1e-3)
+    assert distances[0.3] < 0.8 * along
 
 
 @settings(deadline=None, max_examples=40)
@@ -182,8 +182,8 @@ def test_light_of_a_wall_by_a_fine_sum():
     a = np.linspace(-physics.HALF_CONE, physics.HALF_CONE, 20001)
     weight = np.cos(a) ** 4
     expected = (weight * np.cos(a) * np.cos(a) ** 2 / 0.05**2).sum() / weight.sum()
-    found = light(Place(walls=FAR_WALL), (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
-    assert found == pytest.approx(expected, rel=0.01)
+    result = light(Place(walls=FAR_WALL), (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
+    assert result == pytest.approx(expected, rel=0.01)
 
 
 def test_a_round_obstacle_gives_less_than_a_wall_and_what_is_behind_does_not_count():

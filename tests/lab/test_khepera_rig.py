@@ -22,7 +22,7 @@ DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]
 
 def drive(rig, robot, steps=60):
     """Drive around on what the sensors say; return the way."""
-    way = []
+    distance = []
     begin = robot.clock.now()
     robot.drive((60, 50))
     activations = robot.activations()
@@ -31,8 +31,8 @@ def drive(rig, robot, steps=60):
         left, right = 60 - 120 * activations[2:5].max(), 60 - 60 * activations[:2].max()
         robot.drive((left, right))
         activations = robot.activations()
-        way.append([*rig.lab.pose, *activations])
-    return np.array(way)
+        distance.append([*rig.lab.pose, *activations])
+    return np.array(distance)
 
 
 def driven(seed=1, noise=3, **options):
@@ -181,9 +181,9 @@ def test_from_the_command_line(tmp_path):
     )  # fmt: skip
     try:
         text = "".join(process.stdout.readline().decode() for _ in range(4))
-        told = json.loads(text)
-        assert told["baud"] == 9600
-        with Khepera(told["port"], timeout=PATIENCE) as robot:
+        content = json.loads(text)
+        assert content["baud"] == 9600
+        with Khepera(content["port"], timeout=PATIENCE) as robot:
             robot.set_speeds(5, 5)
             wait_until(lambda: robot.read_counts()[0] > 100, "its drive")
             robot.stop()

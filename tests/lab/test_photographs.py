@@ -23,8 +23,8 @@ def test_opencv_calibrates_close_to_the_truth(photographs):
     corners = []
     for path in photographs.chessboards:
         grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        found, points = cv2.findChessboardCorners(grey, CORNERS)
-        assert found, path.name
+        result, points = cv2.findChessboardCorners(grey, CORNERS)
+        assert result, path.name
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
         corners.append(cv2.cornerSubPix(grey, points, (5, 5), (-1, -1), stop))
     rms, matrix, distortion, _, _ = cv2.calibrateCamera(

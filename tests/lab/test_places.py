@@ -42,8 +42,8 @@ def test_a_wall_holds_a_robot_whose_wheels_turn_on():
 def test_a_robot_slides_along_a_wall_and_round_an_obstacle():
     lab = drive(Place(walls=(WALL,)), 40, 40, 4.0, start=(0.0, -0.5, math.radians(45)))
     # It comes as far along the wall as it would without.
-    way = 0.2 * (4.0 - IDEAL.lag_left) * math.sin(math.radians(45))
-    assert lab.body.pose[:2] == pytest.approx([0.5 - SIZE, -0.5 + way], abs=3e-3)
+    distance = 0.2 * (4.0 - IDEAL.lag_left) * math.sin(math.radians(45))
+    assert lab.body.pose[:2] == pytest.approx([0.5 - SIZE, -0.5 + distance], abs=3e-3)
     post = Place(obstacles=((0.5, 0.03, 0.05),))
     lab = drive(post, 40, 40, 6.0)
     away = np.hypot(*(lab.truth.poses[:, :2] - (0.5, 0.03)).T)

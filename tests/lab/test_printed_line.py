@@ -26,8 +26,8 @@ def test_light_by_hand():
     assert light(0.0, 0.0) == pytest.approx(0.55)  # the bare board
     assert light(0.0, 0.42) == pytest.approx((0.2 + 0.55) / 2)  # its edge
     # A round spot of 8 mm, its centre 4 mm outside: a third of a circle less a triangle.
-    share = 1 / 3 - math.sqrt(3) / (4 * math.pi)
-    assert light(0.0, 0.424) == pytest.approx(0.55 - 0.35 * share)
+    fraction = 1 / 3 - math.sqrt(3) / (4 * math.pi)
+    assert light(0.0, 0.424) == pytest.approx(0.55 - 0.35 * fraction)
     assert light(0.7 - 0.3 + 0.3 * math.sin(0.7), 0.1 + 0.3 * math.cos(0.7)) == pytest.approx(0.2)
     assert light(0.0, 0.92 - 0.12) == pytest.approx(0.25)  # the perimeter's line is there still
 

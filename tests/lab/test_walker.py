@@ -24,10 +24,10 @@ def walker():
 @pytest.mark.slow
 @pytest.mark.parametrize("place", list(PLACES))
 def test_the_hand_tuned_gait_crosses_the_circle_in_every_place(place):
-    found = VirtualWalker(Gait(), place).trials(np.stack([HAND, HAND]), np.arange(2))
-    assert (found > 0.08).all()
-    assert (found < 0.16).all()
-    assert found[0] != found[1]
+    result = VirtualWalker(Gait(), place).trials(np.stack([HAND, HAND]), np.arange(2))
+    assert (result > 0.08).all()
+    assert (result < 0.16).all()
+    assert result[0] != result[1]
 
 
 def test_a_trial_depends_on_its_number_and_the_seed_alone(walker):
@@ -66,7 +66,7 @@ def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     builds = []
     monkeypatch.setattr("neurosim.lab.walker.robot.compile_model", builds.append)
     numbers = np.array([0, place.charge - 1, place.charge])
-    found = walker.trials(np.stack([HAND] * 3), numbers)
+    result = walker.trials(np.stack([HAND] * 3), numbers)
     left = 1.0 - place.sag * (place.charge - 1) / place.charge
     torques = np.array([build.torque for build in builds]) / place.build.torque
     assert torques == pytest.approx([1.0, left, 1.0])
@@ -79,7 +79,7 @@ def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     assert max(height for *_, height in builds[0].bumps) <= place.height
     assert len(set(walker._physics.starts[:, 2])) == 3
     # The watch: ten frames, and what the hand that stops it is early or late.
-    late = RADIUS / found - 10 * 0.008
+    late = RADIUS / result - 10 * 0.008
     assert len(set(late)) == 3
     assert np.abs(late).max() < 5.0 * place.scatter[2]
 

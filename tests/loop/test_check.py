@@ -51,26 +51,26 @@ def plan(*commands, start=TASK.start):
 def test_failures_are_counted_where_they_happen():
     # Up into rectangle 1 and no further: no sample ends where it should.
     commands = [(48.0, 48.0, 1.0), (48.0, 48.0, 1.0)]
-    found = check(plan(*commands), Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
-    assert found.probability == 0.0
-    assert found.members is None
-    assert [(f.command, f.reason, f.fraction) for f in found.failures] == [
+    checked = check(plan(*commands), Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
+    assert checked.probability == 0.0
+    assert checked.members is None
+    assert [(f.command, f.reason, f.fraction) for f in checked.failures] == [
         (3, "did not end in the last rectangle", 1.0)
     ]
     # 1 cm after one command; 0 or 2 cm after two.
-    assert found.after == (1, 2, 3)
-    assert found.spread[0] == pytest.approx(0.01, abs=1e-3)
-    assert found.spread[1] == pytest.approx(0.02, abs=1e-3)
-    assert found.spread[2] == found.spread[1]
-    assert found.turn == pytest.approx([0.0] * 3)
+    assert checked.after == (1, 2, 3)
+    assert checked.spread[0] == pytest.approx(0.01, abs=1e-3)
+    assert checked.spread[1] == pytest.approx(0.02, abs=1e-3)
+    assert checked.spread[2] == checked.spread[1]
+    assert checked.turn == pytest.approx([0.0] * 3)
     # On the border of the grid one gust of two carries the robot out.
     edge = plan(*commands, start=(-1.195, 0.0, math.pi / 2))
-    found = check(edge, Gusts(), draws=4000, placing=(0.0, 0.0))
-    shares = {(f.command, f.reason): f.fraction for f in found.failures}
-    assert shares.pop((1, "left the grid")) == pytest.approx(0.5, abs=0.03)
-    assert shares.pop((3, "did not end in the last rectangle")) == pytest.approx(0.5, abs=0.03)
-    assert not shares
-    words = _in_words(found)
+    checked = check(edge, Gusts(), draws=4000, placing=(0.0, 0.0))
+    fractions = {(f.command, f.reason): f.fraction for f in checked.failures}
+    assert fractions.pop((1, "left the grid")) == pytest.approx(0.5, abs=0.03)
+    assert fractions.pop((3, "did not end in the last rectangle")) == pytest.approx(0.5, abs=0.03)
+    assert not fractions
+    words = _in_words(checked)
     assert "probability of 0.0 % (4000 random samples: 0.0 % to 0.1 %)" in words
     assert "command 1: left the grid" in words
     assert "running down: did not end in the last rectangle" in words

@@ -200,11 +200,11 @@ def test_a_trial_takes_as_long_as_it_says_and_a_trial_given_up_ends():
 
 def test_what_the_floor_does_not_give_is_refused():
     sim = TableSimulator(made_up())
-    for task, family, said in (
+    for task, family, message in (
         (GoTo(), Network(("sensor_0",)), "needs the robot's poses"),
         (TASK, Network(("x",)), "needs the robot's pose, and nobody knows where it wanders"),
     ):
-        with pytest.raises(UserError, match=said), VirtualKheperaRig(1) as rig:
+        with pytest.raises(UserError, match=message), VirtualKheperaRig(1) as rig:
             OnFloor(rig.robot, Evaluator(sim, task, family), place=None, pose=None, about={})
     with (
         pytest.raises(UserError, match=r"of the kind motion-network has none: .*--reality"),
@@ -254,10 +254,10 @@ def test_an_nxt_of_the_lab_is_where_evolution_goes_on(family):
     task = GoTo(goals=((0.2, 0.1, 0.0),), seconds=1.0)
     genetic = GeneticSettings(population=2, tournament=2)
     with open_reality("virtual-nxt", family, task, lab_seed=2) as reality:
-        (found,) = evolve(
+        (controllers,) = evolve(
             random_motion_network(), task, family, generations=1, runs=1, genetic=genetic,
             samples=0, extrapolate=True, reality=reality, real_generations=1, progress=False,
         )  # fmt: skip
-    assert found.evolution["robot"]["kind"] == "virtual-nxt"
-    assert len(found.evolution["history"]["best"]) == 2
-    assert found.evolution["robot_fitness"]["trials"] == TRIALS_AGAIN
+    assert controllers.evolution["robot"]["kind"] == "virtual-nxt"
+    assert len(controllers.evolution["history"]["best"]) == 2
+    assert controllers.evolution["robot_fitness"]["trials"] == TRIALS_AGAIN

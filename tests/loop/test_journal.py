@@ -202,8 +202,8 @@ def test_several_at_once_get_numbers_of_their_own(tmp_path):
 
     reality = Many()
     trials = Journal(reality, tmp_path / "trials.jsonl")
-    found = trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
-    assert found == pytest.approx([1.0, 4.0, 7.0])
+    result = trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
+    assert result == pytest.approx([1.0, 4.0, 7.0])
     assert reality.seen == [6, 3]  # an interruption loses six trials at most
 
 
@@ -211,8 +211,8 @@ def test_an_individual_that_is_asked_for_twice_at_once_is_tried_once(tmp_path):
     reality = Counting()
     trials = Journal(reality, tmp_path / "trials.jsonl")
     trials.evaluate(ONE[None], "first")
-    found = trials.evaluate(np.stack([ONE, ONE, TWO, TWO]), "second", 2)
-    assert found == pytest.approx([2.5, 2.5, 8.5, 8.5])
+    result = trials.evaluate(np.stack([ONE, ONE, TWO, TWO]), "second", 2)
+    assert result == pytest.approx([2.5, 2.5, 8.5, 8.5])
     assert len(reality.seen) == trials.used == 12
 
 

@@ -48,11 +48,11 @@ def test_a_robot_that_is_under_way_goes_on_from_there(name):
     standing = compiled.draw(starts, 3)
     for draws in (standing, Draws(starts)):
         under_way = replace(draws, state=moving[0].numpy())
-        found = compiled.run(family.rows, under_way).poses
-        np.testing.assert_allclose(found, stepped.run(family.rows, under_way).poses, atol=1e-6)
+        rolled_out = compiled.run(family.rows, under_way).poses
+        np.testing.assert_allclose(rolled_out, stepped.run(family.rows, under_way).poses, atol=1e-6)
         # What was driven before makes a difference, but not to where it begins.
-        assert np.abs(found[:, :, 0] - starts).max() == 0.0
-        assert np.abs(found - compiled.run(family.rows, draws).poses).max() > 1e-3
+        assert np.abs(rolled_out[:, :, 0] - starts).max() == 0.0
+        assert np.abs(rolled_out - compiled.run(family.rows, draws).poses).max() > 1e-3
 
 
 class Driven:
@@ -117,11 +117,11 @@ def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
     # Elsewhere than expected, 0.2 s before the end, and some turns on.
     seen = np.array([0.4, -0.3, 1.0])
     replanner.next(seen + np.array([0.0, 0.0, 4 * math.pi]), 0.2)
-    wanted, found = se2.compose(seen, se2.exp(0.2 * twist)), np.array(replanner.foreseen[-1].pose)
-    assert found[:2] == pytest.approx(wanted[:2])
-    assert math.remainder(found[2] - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    wanted, result = se2.compose(seen, se2.exp(0.2 * twist)), np.array(replanner.foreseen[-1].pose)
+    assert result[:2] == pytest.approx(wanted[:2])
+    assert math.remainder(result[2] - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
     # Its heading goes on from the one before: it never jumps by a whole turn.
-    assert abs(found[2] - seconds * twist[2]) < math.pi
+    assert abs(result[2] - seconds * twist[2]) < math.pi
 
 
 class Clock:

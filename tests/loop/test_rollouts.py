@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from given_plans import EPISODE, RUN_DOWN, GivenPlans, by_protocol, drawn, expected
+from given_plans import EPISODE, RUN_DOWN, GivenPlans, by_protocol, expected, sampled_poses
 from motion_networks import NAMES, random_motion_network
 
 from neurosim.loop.stepped import SteppedRollouts
@@ -42,8 +42,8 @@ def both(sim, family):
     return compiled, SteppedRollouts(sim, family, EPISODE)
 
 
-def same(found, wanted):
-    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+def same(result, wanted):
+    np.testing.assert_allclose(result, wanted, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("swing", [None, 0.03])
@@ -80,12 +80,12 @@ def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
     sim, family = random_motion_network(**how, **form), plans(6, 5)
     fast, slow = both(sim, family)
     draws = (slow if stepped_draws else fast).draw(np.tile(START, (9, 1)), 3, (0.01, 0.05))
-    paths = drawn(fast, family, draws)
+    paths = sampled_poses(fast, family, draws)
     assert paths.shape == (6, 9, 7, 3)
     assert paths[4, :, -1].std(axis=0).min() > 1e-3
-    same(drawn(slow, family, draws), paths)
+    same(sampled_poses(slow, family, draws), paths)
     still = replace(draws, noise=None)
-    same(drawn(slow, family, still), drawn(fast, family, still))
+    same(sampled_poses(slow, family, still), sampled_poses(fast, family, still))
     for b in range(6):
         for r in range(9):
             same(obvious(sim, family, b, draws, r), paths[b, r])
@@ -96,22 +96,29 @@ def obvious(sim, family, b, draws, r):
     pose, poses, sent = draws.starts[r], [draws.starts[r]], 0
     member = -1 if draws.member is None else int(draws.member[r])
     each = zip(family.all_commands[b], family.given[b], strict=True)
-    speed, told, lasted, under = torch.zeros(1, 2).double(), torch.zeros(1, 2).double(), 0.0, None
+    speed, commanded, lasted, under = (
+        torch.zeros(1, 2).double(),
+        torch.zeros(1, 2).double(),
+        0.0,
+        None,
+    )
     if sim.drive:
         under = sim.drive.begun(speed, speed)
     for command, is_given in [*each, ((0.0, 0.0, RUN_DOWN), True)]:
         if is_given:
             x = sim.scaled(torch.tensor([[0.0, 0.0, *command]], dtype=torch.float64))
-            goes_on = sim.drive and torch.equal(x[:, 2:4], told) and 0 < lasted + command[2] < 3.15
+            goes_on = (
+                sim.drive and torch.equal(x[:, 2:4], commanded) and 0 < lasted + command[2] < 3.15
+            )
             if not goes_on or lasted == 0.0:
                 if sim.drive and lasted > 0.0:
                     time = torch.tensor([lasted])
-                    reached = sim.drive.reached(under, told, time)
-                    under = sim.drive.after(under, told, time, reached)
+                    reached = sim.drive.reached(under, commanded, time)
+                    under = sim.drive.after(under, commanded, time, reached)
                     speed = under.speed
                 elif not sim.drive:
-                    speed = told
-                began, lasted, number, told = pose, 0.0, sent, x[:, 2:4]
+                    speed = commanded
+                began, lasted, number, commanded = pose, 0.0, sent, x[:, 2:4]
             lasted += command[2]
             x[:, :2], x[:, 4] = speed, lasted / 3.0
             moved = sim.displacement_of(x, member, under)
@@ -132,16 +139,16 @@ def test_samples_spread_as_the_steps_of_the_protocol_do(form):
     fast, slow = both(sim, family)
     starts, placing = np.tile(START, (10_000, 1)), (0.003, 0.01)
     paths = {
-        "compiled": drawn(fast, family, fast.draw(starts, 1, placing))[0],
-        "stepped": drawn(slow, family, slow.draw(starts, 2, placing))[0],
+        "compiled": sampled_poses(fast, family, fast.draw(starts, 1, placing))[0],
+        "stepped": sampled_poses(slow, family, slow.draw(starts, 2, placing))[0],
     }
     # Noise and members that the simulator draws for itself.
     put_down = slow.draw(starts, 3, placing).starts
     many = GivenPlans(np.repeat(family.all_commands, 10_000, 0), np.ones((10_000, 3), bool))
     own = by_protocol(sim, put_down, many, torch.Generator().manual_seed(4))
-    for found in paths.values():
+    for value in paths.values():
         for quantile in (0.1, 0.5, 0.9):
-            a, b = (np.quantile(each[:, 1:], quantile, axis=0) for each in (found, own))
+            a, b = (np.quantile(each[:, 1:], quantile, axis=0) for each in (value, own))
             assert np.abs(a - b).max() < 0.1 * own[:, 1:].std(axis=0).max() + 1e-3
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from given_plans import EPISODE, GivenPlans, by_protocol, drawn, expected
+from given_plans import EPISODE, GivenPlans, by_protocol, expected, sampled_poses
 from khepera_data import made_up
 
 from neurosim.base.place import Place
@@ -51,13 +51,13 @@ REACTIONS = [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06)), Reaction(0.0, 0.25,
 @pytest.mark.parametrize("reaction", REACTIONS)
 def test_expected_paths_are_the_steps_of_the_protocol(reaction):
     sim, family = simulator(reaction=reaction), plans()
-    found = expected(compiled(sim, family), family, START)
-    np.testing.assert_allclose(found, by_protocol(sim, starts(BATCH), family), atol=1e-9)
+    result = expected(compiled(sim, family), family, START)
+    np.testing.assert_allclose(result, by_protocol(sim, starts(BATCH), family), atol=1e-9)
     stepped = expected(SteppedRollouts(sim, family, EPISODE), family, START)
-    np.testing.assert_allclose(found, stepped, atol=1e-9)
+    np.testing.assert_allclose(result, stepped, atol=1e-9)
     # The first plan's robot came to the wall, and not through it.
-    assert np.abs(found[0, -1, 1]) == pytest.approx(0.175 - 0.0275, abs=1e-3)
-    assert (found[2] == START).all()
+    assert np.abs(result[0, -1, 1]) == pytest.approx(0.175 - 0.0275, abs=1e-3)
+    assert (result[2] == START).all()
 
 
 @pytest.mark.parametrize("noise", ["uniform", "samples"])
@@ -66,11 +66,11 @@ def test_drawn_paths_are_the_steps_through_the_same_noise(noise, reaction):
     sim, family = simulator(noise, reaction), plans()
     fast = compiled(sim, family)
     draws = fast.draw(starts(), 7, (0.003, 0.01))
-    found = drawn(fast, family, draws)
-    assert found.shape == (BATCH, COUNT, COMMANDS + 2, 3)
-    assert found[3, :, -1].std(axis=0).min() > 1e-4
-    stepped = drawn(SteppedRollouts(sim, family, EPISODE), family, draws)
-    np.testing.assert_allclose(found, stepped, atol=1e-9)
+    result = sampled_poses(fast, family, draws)
+    assert result.shape == (BATCH, COUNT, COMMANDS + 2, 3)
+    assert result[3, :, -1].std(axis=0).min() > 1e-4
+    stepped = sampled_poses(SteppedRollouts(sim, family, EPISODE), family, draws)
+    np.testing.assert_allclose(result, stepped, atol=1e-9)
 
 
 def test_draws_are_the_same_for_the_same_seed_and_all_plans():
@@ -81,12 +81,12 @@ def test_draws_are_the_same_for_the_same_seed_and_all_plans():
     assert (one.noise != other.noise).any()
     assert np.abs(one.noise).max() <= 1.0
     twice = GivenPlans(family.all_commands[[3, 3]], family.given[[3, 3]])
-    twice = drawn(compiled(sim, twice), twice, one)
+    twice = sampled_poses(compiled(sim, twice), twice, one)
     assert (twice[0] == twice[1]).all()
 
 
 def test_no_noise_draws_only_where_the_robot_is_put_down():
     sim, family = simulator("none"), plans()
     driver = compiled(sim, family)
-    paths = drawn(driver, family, driver.draw(starts(), 1, (0.0, 0.0)))
+    paths = sampled_poses(driver, family, driver.draw(starts(), 1, (0.0, 0.0)))
     assert np.ptp(paths, axis=1).max() == 0.0

@@ -30,12 +30,12 @@ def test_who_turns_away_touches_less_than_who_drives_straight_on(evaluator):
     genes = np.stack(
         [braitenberg(simulator.reading_names, simulator.bearings, gain=gain)[1] for gain in (4, 0)]
     )
-    careful, blind = in_unmet_arenas(evaluator, genes, seed=0)
+    careful, open_loop = in_unmet_arenas(evaluator, genes, seed=0)
     assert careful.touched <= 2
-    assert blind.touched >= 0.8 * blind.drives
-    assert careful.fitness > blind.fitness
-    assert careful.vehicle == blind.vehicle == careful.touched  # careful is the vehicle
-    assert in_unmet_arenas(evaluator, genes, seed=0) == [careful, blind]
+    assert open_loop.touched >= 0.8 * open_loop.drives
+    assert careful.fitness > open_loop.fitness
+    assert careful.vehicle == open_loop.vehicle == careful.touched  # careful is the vehicle
+    assert in_unmet_arenas(evaluator, genes, seed=0) == [careful, open_loop]
 
 
 def test_a_sensor_slows_the_wheel_on_the_other_side():
@@ -63,19 +63,19 @@ def test_other_tasks_have_no_unmet_arenas(evaluator):
 
 def test_the_choice_among_runs_goes_by_arenas_that_were_not_evolved_in(evaluator):
     settings = EvolveSettings(generations=2, runs=3)
-    found = evolve(
+    evolved = evolve(
         evaluator.simulator,
         evaluator.task,
         evaluator.controller,
         settings=settings,
         progress=False,
     )
-    fitness = [one.predicted["unmet"]["fitness"] for one in found]
+    fitness = [one.predicted["unmet"]["fitness"] for one in evolved]
     assert len(set(fitness)) > 1
     assert fitness == sorted(fitness, reverse=True)
     evolution = Evolution(evaluator, settings, 0)
     known, other = (
-        replace(found[0], predicted={"fitness": own, "unmet": unmet.describe()})
+        replace(evolved[0], predicted={"fitness": own, "unmet": unmet.describe()})
         for own, unmet in ((500.0, Unmet(20, 18, 30.0)), (400.0, Unmet(20, 0, 350.0)))
     )
     assert evolution._worth(other) > evolution._worth(known)

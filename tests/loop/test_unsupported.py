@@ -25,9 +25,9 @@ NAMES = ("left", "right", "duration")
 def simulator(**changes):
     """Return a simulator that has never been told to drive straight ahead."""
     rows = random_commands(np.random.default_rng(0), 4000)
-    found = random_motion_network(**changes)
-    found.known = Domain.of(NAMES, rows[~(rows[:, :2] > 5.0).all(1)])
-    return found
+    result = random_motion_network(**changes)
+    result.known = Domain.of(NAMES, rows[~(rows[:, :2] > 5.0).all(1)])
+    return result
 
 
 def saved(*commands):
@@ -51,8 +51,8 @@ def test_the_share_is_of_time_and_of_given_commands():
     measure = ns.evaluate(simulator(), TASK, plan)
     assert measure.unsupported(genes) == pytest.approx(1 / 3)
     assert measure.unsupported(np.stack([genes, genes])) == pytest.approx([1 / 3] * 2)
-    found = check(saved((-20.0, -20.0, 2.0), (30.0, 30.0, 1.0)), simulator(), draws=50)
-    assert found.unsupported == pytest.approx(1 / 3)
+    checked = check(saved((-20.0, -20.0, 2.0), (30.0, 30.0, 1.0)), simulator(), draws=50)
+    assert checked.unsupported == pytest.approx(1 / 3)
 
 
 def test_who_relies_on_them_ranks_behind():
@@ -86,8 +86,8 @@ def test_evolution_keeps_to_what_was_recorded():
     with pytest.raises(UserError, match=r"the commands.* lies outside"):
         evolve(sim, TASK, wide, settings=settings, progress=False)
     free = default_settings(wide, TASK, generations=2, runs=1, final_draws=64, extrapolate=True)
-    (found,) = evolve(sim, TASK, wide, settings=free, progress=False)
-    assert found.predicted["unsupported"] > 0.0
+    (evolved,) = evolve(sim, TASK, wide, settings=free, progress=False)
+    assert evolved.predicted["unsupported"] > 0.0
 
 
 def test_of_a_network_steps_count():
@@ -112,10 +112,10 @@ def test_plan_check_warns_and_refuses(tmp_path):
         words = [str(tmp_path / plan), str(tmp_path / "simulator"), "--draws", "50", *more]
         return CliRunner().invoke(plan_check, words)
 
-    found = run("gap")
-    assert found.exit_code == 0
-    assert "learned from: 100.0 % of the time" in found.output
-    assert "100 % of the commands (by time) are unlike any" in found.stderr
+    result = run("gap")
+    assert result.exit_code == 0
+    assert "learned from: 100.0 % of the time" in result.output
+    assert "100 % of the commands (by time) are unlike any" in result.stderr
     assert isinstance(run("outside").exception, UserError)
     allowed = run("outside", "--extrapolate")
     assert allowed.exit_code == 0

@@ -37,12 +37,12 @@ def test_parts_are_judged_as_the_whole_is(monkeypatch):
     def backwards(evaluator, parts, draws, how):
         parts = list(parts)
         sizes.extend(map(len, parts))
-        found = [evaluator.merit_of(part, draws, *how) for part in reversed(parts)]
-        return iter(reversed(found))
+        merit = [evaluator.merit_of(part, draws, *how) for part in reversed(parts)]
+        return iter(reversed(merit))
 
     evaluator.workers = backwards
     monkeypatch.setattr(module, "POSES_AT_ONCE", 5 * 3 * (evaluator.steps + 1))
-    found, other = evaluator.merit(genes, draws, hints=("keys",))
+    merit, other = evaluator.merit(genes, draws, hints=("keys",))
     assert sizes == [5] * 7 + [2]
-    np.testing.assert_array_equal(found, whole)
+    np.testing.assert_array_equal(merit, whole)
     np.testing.assert_array_equal(other["keys"], keys["keys"])

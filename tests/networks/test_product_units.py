@@ -123,7 +123,7 @@ def test_the_fast_error_is_the_plain_one(kernel, inputs, products, summations, r
     targets = torch.randn(2, rows, generator=g, dtype=torch.float64)
     genes = (spread * torch.randn(2, 5, network.genes, generator=g)).float()
     fast = PopulationError(network, x, targets, kernel=kernel)(genes)
-    for found, each, target in zip(fast, genes.double(), targets, strict=True):
+    for each_result, each, target in zip(fast, genes.double(), targets, strict=True):
         plain = network.forward(each, x) - target
         # A unit's size is exp of a sum that is rounded to single precision, relative to its terms;
         # large units may cancel.
@@ -131,7 +131,7 @@ def test_the_fast_error_is_the_plain_one(kernel, inputs, products, summations, r
         units = network.product_units(w.exponents, x)
         size = plain.abs() + (w.product_weights.unsqueeze(-1) * units).abs().sum(-2)
         allowed = 1e-6 + 2e-4 * max(1, spread) * size.square().mean(-1)
-        assert ((found - plain.square().mean(-1)).abs() <= allowed).all()
+        assert ((each_result - plain.square().mean(-1)).abs() <= allowed).all()
 
 
 @given(**shapes)

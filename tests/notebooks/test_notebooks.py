@@ -78,9 +78,9 @@ def test_it_is_stored_with_its_outputs(path):
 def test_a_picture_is_stored_smaller():
     rows, columns = np.mgrid[:200, :300]
     smooth = np.stack([rows % 256, columns % 256, (rows + columns) % 256], -1).astype(np.uint8)
-    drawn = np.full((200, 300, 3), 255, np.uint8)
-    drawn[90:110] = 0, 114, 178
-    for picture, kind in ((smooth, "image/jpeg"), (drawn, "image/png")):
+    sampled = np.full((200, 300, 3), 255, np.uint8)
+    sampled[90:110] = 0, 114, 178
+    for picture, kind in ((smooth, "image/jpeg"), (sampled, "image/png")):
         _, encoded = cv2.imencode(".png", picture)
         before = base64.b64encode(encoded).decode()
         data = {"image/png": before}

@@ -135,9 +135,9 @@ def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), re
     clock.script = [(BEFORE + moment, tell) for moment in moments] + [(BEFORE + end, hand.end)]
     # Every pose is seen, 100 times a second.
     clock.each = lambda: (robot.move(), robot.path.append((clock.time, *robot.pose)))
-    said = []
-    made = record(folder, Rig(robot), hand, guarded(at_line), resume=resume, say=said.append)
-    return made, robot, hand, said
+    messages = []
+    made = record(folder, Rig(robot), hand, guarded(at_line), resume=resume, say=messages.append)
+    return made, robot, hand, messages
 
 
 def guarded(at_line):
@@ -153,7 +153,7 @@ STILL, AHEAD, BACK, LEFT = (0, 0), (1, 0), (-1, 0), (0, 1)
 
 def test_commands_are_kept_as_they_are_given_at_their_times(tmp_path):
     wishes = [(0.0, STILL), (0.5, AHEAD), (1.25, LEFT), (1.7, (0.5, 0.1)), (2.4, STILL)]
-    recording, robot, hand, said = drive(tmp_path / "r", wishes, 3.0)
+    recording, robot, hand, message = drive(tmp_path / "r", wishes, 3.0)
     lines = motor(recording)
     assert [(line.kind, line.numbers) for line in lines] == [
         ("command", (80.0, 80.0)),
@@ -170,7 +170,7 @@ def test_commands_are_kept_as_they_are_given_at_their_times(tmp_path):
     assert all(math.isnan(line.duration) for line in lines[:4])
     assert recording.meta["complete"] is True
     assert recording.meta["settings"]["source"] == {"kind": "by-hand", "max_speed": 80.0}
-    assert said == []
+    assert message == []
     shown = hand.state()
     assert shown["phase"] == "over"
     assert shown["commands"] == 4
@@ -232,7 +232,7 @@ def test_at_the_line_the_robot_is_stopped_and_may_be_driven_back(tmp_path):
         (3.2, BACK), (3.6, STILL),
         (4.0, AHEAD), (5.0, STILL),  # inside again: the line stops it anew
     ]  # fmt: skip
-    recording, robot, hand, said = drive(tmp_path / "r", wishes, 5.5, line=0.5)
+    recording, robot, hand, message = drive(tmp_path / "r", wishes, 5.5, line=0.5)
     lines = motor(recording)
     assert [(line.kind, line.numbers[0]) for line in lines] == [
         ("command", 80), ("stop", 0),
@@ -242,8 +242,8 @@ def test_at_the_line_the_robot_is_stopped_and_may_be_driven_back(tmp_path):
     ]  # fmt: skip
     assert lines[2].time == pytest.approx(BEFORE + 3.2, abs=0.05)
     assert max(x for _, x, *_ in robot.path) < 0.53
-    assert said[0].startswith("the robot was stopped at the perimeter line by its light sensor")
-    assert said[1] == "this command leads off the board"
+    assert message[0].startswith("the robot was stopped at the perimeter line by its light sensor")
+    assert message[1] == "this command leads off the board"
     assert "Let go, then drive back inside or carry" in hand.state()["standing"]
     ignored, robot, *_ = drive(tmp_path / "i", wishes, 5.5, line=0.5, at_line="ignore")
     assert max(x for _, x, *_ in robot.path) > 0.6

@@ -69,7 +69,7 @@ class Robot:
         self.speeds = (0.0, 0.0)
 
     def _pulses(self):
-        return [round(way * self.pulses_per_metre) for way in self.ways]
+        return [round(arguments * self.pulses_per_metre) for arguments in self.ways]
 
     def read_counts(self):
         self.clock.time += 0.01
@@ -119,8 +119,8 @@ class Source:
 
 
 def drive(folder, robot, source, *, at_line="ignore", **options):
-    said, settings = [], RecordSettings(source.steps, Guard(at_line))
-    return record(folder, Rig(robot), source, settings, say=said.append, **options), said
+    messages, settings = [], RecordSettings(source.steps, Guard(at_line))
+    return record(folder, Rig(robot), source, settings, say=messages.append, **options), messages
 
 
 def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
@@ -139,8 +139,8 @@ def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
     # Odometry, from the start pose: up along y, the way that the wheels turned.
     assert seen.pose[:, 0] == pytest.approx(1.0)
     # The first look came before the robot moved.
-    ways = [FULL_SPEED * line.left / 100 * 0.1 for line in sent]
-    assert np.diff(seen.pose[1:20, 1]) == pytest.approx(ways[1:-1], abs=1e-3)
+    distances = [FULL_SPEED * line.left / 100 * 0.1 for line in sent]
+    assert np.diff(seen.pose[1:20, 1]) == pytest.approx(distances[1:-1], abs=1e-3)
     assert seen.pose[:, 2] == pytest.approx(math.pi / 2)
     assert np.array([s.pose for s in source.seen]) == pytest.approx(seen.pose[:20], abs=1e-6)
     assert recording.meta["deadlines"] == {"steps": 20, "missed": 0, "worst_late_s": 0.0}
@@ -162,28 +162,28 @@ def test_what_is_late_is_counted_and_does_not_shorten_what_follows(tmp_path):
     # Five looks before the start; the 3rd and the 8th step's are slow.
     recording, _ = drive(tmp_path / "r", Robot(slow_at=(8, 13)), Source(12))
     sent = [line.time for line in recording.commands().itertuples() if line.kind == "command"]
-    found = recording.meta["deadlines"]
-    assert (found["steps"], found["missed"]) == (12, 2)
-    assert found["worst_late_s"] == pytest.approx(0.227)
+    result = recording.meta["deadlines"]
+    assert (result["steps"], result["missed"]) == (12, 2)
+    assert result["worst_late_s"] == pytest.approx(0.227)
     assert np.diff(sent) == pytest.approx([0.1, 0.327, *[0.1] * 4, 0.327, *[0.1] * 4])
 
 
 def test_looks_that_take_longer_are_begun_earlier(tmp_path):
     recording, _ = drive(tmp_path / "r", Robot(slow_at=range(8, 100), slow=0.04), Source(20))
-    found = recording.meta["deadlines"]
-    assert (found["steps"], found["missed"]) == (20, 2)
-    assert found["worst_late_s"] == pytest.approx(0.017)
+    result = recording.meta["deadlines"]
+    assert (result["steps"], result["missed"]) == (20, 2)
+    assert result["worst_late_s"] == pytest.approx(0.017)
 
 
 @pytest.mark.parametrize("at_line", ["end", "return"])
 def test_a_line_ends_the_drive(tmp_path, at_line):
     robot = Robot(line=0.2)
-    recording, said = drive(tmp_path / "r", robot, Source(50), at_line=at_line)
+    recording, message = drive(tmp_path / "r", robot, Source(50), at_line=at_line)
     motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-3:]] == ["command", "cut", "stop"]
     assert motor[-2].command == motor[-3].command < 30
     assert sum(robot.ways) / 2 < 0.2 + 0.03
-    assert "was stopped at the perimeter line by its light sensor line_" in said[0]
+    assert "was stopped at the perimeter line by its light sensor line_" in message[0]
     drive(tmp_path / "ignored", robot := Robot(line=0.2), Source(50))
     assert sum(robot.ways) / 2 > 0.3
 

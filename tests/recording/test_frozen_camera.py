@@ -117,11 +117,11 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
         assert child.poll() is None
         Stream.runs.clear()
         wait_until(lambda: not rig.lab.body._inputs[:2].any(), "the robot's stop")
-        _, said = child.communicate(timeout=PATIENCE)
-    assert child.returncode == 1, said
-    assert re.search(r"the camera delivered no frame for 0\.5 s or more, and the robot was", said)
-    assert "continue with --resume" in said
-    assert "Fatal" not in said
+        _, stderr = child.communicate(timeout=PATIENCE)
+    assert child.returncode == 1, stderr
+    assert re.search(r"the camera delivered no frame for 0\.5 s or more, and the robot was", stderr)
+    assert "continue with --resume" in stderr
+    assert "Fatal" not in stderr
     recording = Recording(tmp_path / "r")
     assert recording.meta["complete"] is False
     motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
@@ -253,9 +253,9 @@ def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
         slowest: of the agreement.
     """
     takes = TWO_WHEELS.measured(full=0.5, track=0.13)
-    found = Agreement(0.5, takes.arm)
+    result = Agreement(0.5, takes.arm)
     if slowest is not None:
-        found.slowest = slowest
+        result.slowest = slowest
     truth = Reckoning()
     rng, begin, pose, time = np.random.default_rng(0), 10.0, np.zeros(3), 8.0
     starts = begin + np.cumsum([0.0, *[seconds for _, _, seconds in commands]])
@@ -266,10 +266,10 @@ def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
         time += 1 / fps
         while waiting and waiting[0][0] <= time:
             start, (left, right, _) = waiting.pop(0)
-            found.sent(start, takes.twist((left, right)))
+            result.sent(start, takes.twist((left, right)))
         pose = truth.predict(pose, time - 1 / fps - delay, time - delay)[0]
-        found.seen(time, pose + noise * rng.standard_normal(3))
-        if found.broken():
+        result.seen(time, pose + noise * rng.standard_normal(3))
+        if result.broken():
             return time - begin
     return None
 

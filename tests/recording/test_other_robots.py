@@ -21,7 +21,7 @@ COUNT = 40
 @pytest.fixture(scope="module", params=["car", "omni", "ros"])
 def made(request, tmp_path_factory):
     """Return the robot's kind, its commands, its recording, the truth, and what was said."""
-    folder, said = tmp_path_factory.mktemp(request.param), []
+    folder, messages = tmp_path_factory.mktemp(request.param), []
     options = {"noise_seed": 5, "camera_size": SIZE}
     with (
         VirtualRosRig(2, **options)
@@ -39,14 +39,14 @@ def made(request, tmp_path_factory):
             RandomCommands(seed=3, max_speed=80.0),
             RecordSettings(COUNT, board=BOARDS[request.param]),
             calibration=folder / "calibration.json",
-            say=said.append,
+            say=messages.append,
         )
-        return request.param, rig.robot.commands, recording, read_truth(recording.path), said
+        return request.param, rig.robot.commands, recording, read_truth(recording.path), messages
 
 
 def test_commands_are_within_the_limits_and_named_as_the_robot_names_them(made):
-    kind, takes, recording, _, said = made
-    assert said == []
+    kind, takes, recording, _, message = made
+    assert message == []
     assert recording.takes == takes.measured(full=0.5, track=0.13)
     table = recording.commands()
     sent = table[table["kind"] == "command"]

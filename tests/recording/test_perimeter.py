@@ -20,9 +20,9 @@ def perimeter():
 def test_straight_on_is_speed_times_time():
     p = perimeter()
     p.sent(10.0, TAKES.twist((40, 40)))
-    pose, way = p.predict(np.array([0.1, 0.0, math.pi / 2]), 10.0, 10.5)
+    pose, distance = p.predict(np.array([0.1, 0.0, math.pi / 2]), 10.0, 10.5)
     assert pose == pytest.approx([0.1, 0.1, math.pi / 2])
-    assert way == pytest.approx(0.1)
+    assert distance == pytest.approx(0.1)
 
 
 def test_each_command_counts_for_its_time():
@@ -30,17 +30,17 @@ def test_each_command_counts_for_its_time():
     p.sent(10.0, TAKES.twist((40, 40)))  # 0.2 m/s
     p.sent(11.0, TAKES.twist((0, 0)))
     p.sent(12.0, TAKES.twist((-20, -20)))
-    pose, way = p.predict(np.zeros(3), 10.5, 12.5)
+    pose, distance = p.predict(np.zeros(3), 10.5, 12.5)
     assert pose == pytest.approx([0.1 - 0.05, 0, 0])
-    assert way == pytest.approx(0.15)
+    assert distance == pytest.approx(0.15)
 
 
 def test_a_turn_on_the_spot_goes_nowhere():
     p = perimeter()
     p.sent(0.0, TAKES.twist((-13, 13)))  # 1 rad/s
-    pose, way = p.predict(np.zeros(3), 0.0, 2.0)
+    pose, distance = p.predict(np.zeros(3), 0.0, 2.0)
     assert pose == pytest.approx([0, 0, 2.0])
-    assert way == 0
+    assert distance == 0
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi])
@@ -90,5 +90,5 @@ def test_a_bearing_leads_to_its_goal_with_at_most_a_quarter_turn(heading, goal):
     turn, direction = bearing(pose, goal)
     assert abs(turn) <= math.pi / 2 + 1e-12
     ahead = direction * np.array([math.cos(heading + turn), math.sin(heading + turn)])
-    way = goal - pose[:2]
-    assert ahead @ way == pytest.approx(np.hypot(*way))
+    to_goal = goal - pose[:2]
+    assert ahead @ to_goal == pytest.approx(np.hypot(*to_goal))

@@ -304,13 +304,13 @@ class Bare:
 
 
 def test_a_robot_without_lamp_battery_and_sensors_is_recorded(tmp_path):
-    robot, said = Bare(), []
+    robot, messages = Bare(), []
     assert isinstance(robot, Robot)
-    recording = run(tmp_path / "r", robot, 4, say=said.append)
+    recording = run(tmp_path / "r", robot, 4, say=messages.append)
     assert kinds(recording) == [*["command"] * 4, "stop", "end"]
     assert len(robot.sent) == 4
     assert recording.meta["complete"] is True
-    assert "no light sensors" in said[0]
+    assert "no light sensors" in messages[0]
 
 
 @pytest.mark.parametrize(

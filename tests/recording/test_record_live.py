@@ -38,7 +38,7 @@ def calibrate(rig, path):
 def make(folder, source, count, *, sensors=False, prepare=None, **options):
     """Record in the lab; return the recording, what was said, and the truth."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    said = []
+    messages = []
     settings = options.pop("settings", {"board": BOARD})
     with VirtualRig(2, noise_seed=options.pop("seed", 5), camera_size=SIZE) as rig:
         calibration = folder.parent / "calibration.json"
@@ -57,10 +57,10 @@ def make(folder, source, count, *, sensors=False, prepare=None, **options):
             source,
             RecordSettings(count, **settings),
             calibration=calibration,
-            say=said.append,
+            say=messages.append,
             **options,
         )
-    return made, said, read_truth(folder)
+    return made, messages, read_truth(folder)
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +71,13 @@ def kept(tmp_path_factory):
 
 
 def test_a_robot_without_light_sensors_stays_on_the_board(kept):
-    recording, said, truth = kept
+    recording, message, truth = kept
     kinds = [line.kind for line in recording.commands().itertuples()]
     assert kinds.count("cut") >= 2
     half = np.array([BOARD["length"], BOARD["width"]]) / 2
     assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
     assert recording.meta["complete"] is True
-    assert said == []
+    assert message == []
     turns = {np.sign(line.right) for line in recording.commands().itertuples()
              if line.kind == "manoeuvre" and line.left == -line.right != 0}  # fmt: skip
     assert turns == {-1.0, 1.0}
@@ -169,11 +169,11 @@ STEADY = FixedCommands([Command((15, 18), 1.0)] * 8)
 @pytest.mark.slow
 def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp_path):
     away = taken_away(6.0, 12.0)
-    recording, said, truth = make(tmp_path / "r", STEADY, 8, prepare=away, settings={})
-    assert said[0].startswith("the robot is lost from sight")
-    assert "the robot is not seen, and cannot drive unseen" in said[1]
-    assert said[2].startswith("the robot is seen again, after 6.")
-    assert len(said) == 3
+    recording, message, truth = make(tmp_path / "r", STEADY, 8, prepare=away, settings={})
+    assert message[0].startswith("the robot is lost from sight")
+    assert "the robot is not seen, and cannot drive unseen" in message[1]
+    assert message[2].startswith("the robot is seen again, after 6.")
+    assert len(message) == 3
     cut = [line for line in recording.commands().itertuples() if line.kind == "cut"]
     assert len(cut) == 1
     assert 6.9 < cut[0].time < 7.2
@@ -186,12 +186,14 @@ def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp
 
 
 def test_with_light_sensors_it_drives_on(tmp_path):
-    recording, said, _ = make(tmp_path / "r", STEADY, 4, sensors=True, prepare=taken_away(5.0, 7.0))
+    recording, message, _ = make(
+        tmp_path / "r", STEADY, 4, sensors=True, prepare=taken_away(5.0, 7.0)
+    )
     assert [line.kind for line in recording.commands().itertuples() if line.is_motor] == [
         "command"
     ] * 4 + ["stop"]
     # It drove on unseen for more than 2 s, and what was seen then is too short to tell it by.
-    lost, again, doubt = said
+    lost, again, doubt = message
     assert "lost from sight" in lost
     assert "seen again" in again
     poses = recording.poses()
@@ -232,12 +234,12 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
         render = rig.camera.render
         rig.camera.render = lambda poses, lamp=0.0: render(poses, 0.0)
 
-    recording, said, _ = make(tmp_path / "r", STEADY, 2, prepare=dark)
+    recording, message, _ = make(tmp_path / "r", STEADY, 2, prepare=dark)
     assert recording.meta["complete"] is True
     assert not recording.is_tracked
-    assert len(said) == 1
-    assert "the recording is complete, but its poses are not" in said[0]
-    assert "neurosim track" in said[0]
+    assert len(message) == 1
+    assert "the recording is complete, but its poses are not" in message[0]
+    assert "neurosim track" in message[0]
 
 
 def test_what_was_seen_live_and_is_doubted_is_looked_at_again_in_the_video(tmp_path, monkeypatch):
@@ -247,8 +249,8 @@ def test_what_was_seen_live_and_is_doubted_is_looked_at_again_in_the_video(tmp_p
         return replace(seen, markers=grey)
 
     monkeypatch.setattr("neurosim.recording.record.seen_live", doubted)
-    recording, said, _ = make(tmp_path / "r", STEADY, 2)
-    assert said == []
+    recording, message, _ = make(tmp_path / "r", STEADY, 2)
+    assert message == []
     assert recording.is_tracked
     assert not recording.poses().doubtful.any()
 
@@ -263,10 +265,10 @@ def test_one_that_was_killed_before_its_poses_gets_them_when_it_is_resumed(tmp_p
     broken = Recording(tmp_path / "r")
     assert broken.meta["complete"] is True
     assert not broken.is_tracked
-    recording, said, _ = make(tmp_path / "r", STEADY, 2, resume=True)
+    recording, message, _ = make(tmp_path / "r", STEADY, 2, resume=True)
     assert recording.is_tracked
     assert recording.sessions == 1
-    assert said == []
+    assert message == []
     with pytest.raises(UserError, match="nothing to resume"):
         make(tmp_path / "r", STEADY, 2, resume=True)
 
@@ -366,8 +368,8 @@ class ToTheEdge:
 
 def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
     source = ToTheEdge(0.3)
-    recording, said, truth = make(tmp_path / "r", source, source.steps)
-    assert said == []
+    recording, message, truth = make(tmp_path / "r", source, source.steps)
+    assert message == []
     assert recording.meta["complete"] is True
     assert recording.meta["deadlines"]["missed"] == 0
     assert recording.is_tracked
@@ -381,11 +383,11 @@ def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
 
 @pytest.mark.slow
 def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
-    recording, said, truth = make(tmp_path / "edge", ToTheEdge(5.0), 30)
+    recording, message, truth = make(tmp_path / "edge", ToTheEdge(5.0), 30)
     motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
     assert motor[-3:] == ["command", "cut", "stop"]
     assert np.abs(truth.poses[:, 0]).max() < BOARD["length"] / 2 - Guard().margin + 0.02
-    assert "was stopped at the board's edge" in said[0]
+    assert "was stopped at the board's edge" in message[0]
 
     def covered(rig):
         render = rig.camera.render
@@ -395,11 +397,11 @@ def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
         )
 
     source = ToTheEdge(0.3)
-    recording, said, _ = make(
+    recording, message, _ = make(
         tmp_path / "lost", source, source.steps, prepare=covered, sensors=True,
         settings={"board": BOARD, "guard": Guard("ignore")},
     )  # fmt: skip
     motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-2:]] == ["cut", "stop"]
     assert motor[-2].time == pytest.approx(4.0 + Guard().unseen, abs=0.3)
-    assert any("stopped because it was not seen" in words for words in said)
+    assert any("stopped because it was not seen" in words for words in message)

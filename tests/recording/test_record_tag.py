@@ -26,7 +26,7 @@ DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command(
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tag")
-    markers, said = marker_settings("apriltag", "virtual", 5), []
+    markers, messages = marker_settings("apriltag", "virtual", 5), []
     with open_rig("virtual", {}, Setup(markers=markers)) as rig:
         optics = rig.camera.optics
         CameraModel(
@@ -34,9 +34,9 @@ def kept(tmp_path_factory):
         ).write(folder / "calibration.json")
         made = record(
             folder / "r", rig, DRIVES, RecordSettings(3, markers=markers),
-            calibration=folder / "calibration.json", say=said.append,
+            calibration=folder / "calibration.json", say=messages.append,
         )  # fmt: skip
-    assert said == []
+    assert messages == []
     return made
 
 
@@ -93,9 +93,9 @@ def test_the_lab_shows_the_tag_where_the_markers_say_it_is(robot, kind):
         frame = rig.camera.render(pose)
     tracker = tracker_of(sought(markers), marker_geometry(markers, model))
     seen = tracker.update(frame, 0.0)
-    (found,) = marker_poses(seen.front[None], seen.rear[None], markers, model)
-    np.testing.assert_allclose(found[:2], scale * pose[:2], atol=4e-4 * scale)
-    assert found[2] == pytest.approx(pose[2], abs=0.005)
+    (result,) = marker_poses(seen.front[None], seen.rear[None], markers, model)
+    np.testing.assert_allclose(result[:2], scale * pose[:2], atol=4e-4 * scale)
+    assert result[2] == pytest.approx(pose[2], abs=0.005)
 
 
 def test_a_tag_of_the_lab_lies_on_the_robot(tmp_path):

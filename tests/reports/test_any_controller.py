@@ -275,7 +275,7 @@ def test_a_damaged_field_of_a_controller_is_named(registered, tmp_path, place, v
     assert not (tmp_path / "page.html").exists()
 
 
-def drawn(draw, *words):
+def drawing_of(draw, *words):
     """Return the axes that something was drawn into."""
     from matplotlib.figure import Figure
 
@@ -286,20 +286,20 @@ def drawn(draw, *words):
 
 def test_rectangles_lie_as_the_task_judges_them():
     task = NineRectangles(length=0.6, course=((1, 2), (0, 3)))
-    axes = drawn(draw_scene, Scene.of(task))
+    axes = drawing_of(draw_scene, Scene.of(task))
     places = {text.get_text(): text.get_position() for text in axes.texts}
     assert sorted(places) == ["1", "2", "3", "4"]
     for number, (x, y) in places.items():
         assert task.region(np.array([x, y, 0.0])) == int(number) % task.last
-    assert drawn(draw_scene, Scene.of(None)).patches[:] == []
+    assert drawing_of(draw_scene, Scene.of(None)).patches[:] == []
 
 
 def test_small_pictures_are_in_centimetres():
     goals = Scene.of(GoTo(goals=((0.4, 0.1, 0.0),)))
-    axes = drawn(draw_course, goals, Paths(along()))
+    axes = drawing_of(draw_course, goals, Paths(along()))
     assert axes.get_xlabel() == "x (cm)"
     assert axes.lines[0].get_xydata()[-1] == pytest.approx([60, 18])
-    axes = drawn(draw_course, Scene.of(NineRectangles()), Paths(along()))
+    axes = drawing_of(draw_course, Scene.of(NineRectangles()), Paths(along()))
     assert axes.get_xlabel() == "x (m)"
     assert axes.lines[0].get_xydata()[-1] == pytest.approx([0.6, 0.18])
 

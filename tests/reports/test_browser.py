@@ -17,12 +17,12 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 @pytest.fixture
 def browser() -> str:
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    if found is None:
+    result = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if result is None:
         if os.environ.get("NEUROSIM_BROWSER_REQUIRED"):
             pytest.fail("a browser is required here, and there is none")
         pytest.skip("no Chromium on this computer")
-    return found
+    return result
 
 
 def run(browser: str, folder: Path, *words: str) -> subprocess.CompletedProcess:

@@ -11,10 +11,10 @@ from neurosim.reports.artefacts import Artefact, Artefacts, gather
 from neurosim.reports.predictions import HeldOut
 
 
-def trials_saying(tmp_path, told):
+def trials_saying(tmp_path, predicted):
     folders = [
-        make_trial(tmp_path / f"t{place}", completes=done, probability=said)
-        for place, (said, done) in enumerate(told)
+        make_trial(tmp_path / f"t{place}", completes=done, probability=message)
+        for place, (message, done) in enumerate(predicted)
     ]
     return gather(folders)
 

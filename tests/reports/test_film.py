@@ -99,17 +99,19 @@ def test_a_robot_that_nothing_saw_for_a_while_is_not_shown_there(folders):
 
 def test_a_path_of_nearly_whole_turns_is_a_straight_line():
     poses = [[0, 0, 0], [0.4, 0, 2 * np.pi - 1e-3]]
-    found = along(poses, [0.0, 1.0], np.array([0.5]))
-    assert found[0] == pytest.approx([0.2, 0, np.pi], abs=1e-2)
+    result = along(poses, [0.0, 1.0], np.array([0.5]))
+    assert result[0] == pytest.approx([0.2, 0, np.pi], abs=1e-2)
     assert np.isnan(along([], [], np.array([0.5]))).all()
 
 
 def test_a_drawing_says_where_its_metres_are():
     poses = [[-0.5, 0.1, 0.0], [0.7, 0.4, 0.0]]
-    drawn = course(Scene(), Paths(poses), "words", "p")
-    line = re.search(r'd="M ([\d.]+) ([\d.]+) L ([\d.]+) ([\d.]+)[^"]*"[^>]*var\(--pred', drawn.svg)
+    drawing = course(Scene(), Paths(poses), "words", "p")
+    line = re.search(
+        r'd="M ([\d.]+) ([\d.]+) L ([\d.]+) ([\d.]+)[^"]*"[^>]*var\(--pred', drawing.svg
+    )
     ends = np.array([float(number) for number in line.groups()]).reshape(2, 2)
-    placed = np.array(drawn.origin) + drawn.scale * np.array(poses)[:, :2] * [1, -1]
+    placed = np.array(drawing.origin) + drawing.scale * np.array(poses)[:, :2] * [1, -1]
     assert ends == pytest.approx(placed, abs=0.05)
 
 
@@ -148,12 +150,12 @@ def test_a_drive_is_played_on_the_page(folders, tmp_path):
 
 def frames_of(path):
     video = cv2.VideoCapture(str(path))
-    found = []
+    results = []
     while True:
         read, frame = video.read()
         if not read:
-            return np.array(found)
-        found.append(frame)
+            return np.array(results)
+        results.append(frame)
 
 
 def test_a_video_shows_the_robot_where_it_was(folders, tmp_path):

@@ -18,15 +18,15 @@ from tracking.datasets.recordings import Recording
 
 def rows(out, entity, column):
     """Return times (s) and values of a column of an entity, in the order of time."""
-    found = []
+    results = []
     for chunk in RrdReader(out).stream():
         if chunk.entity_path == entity:
             batch = chunk.to_record_batch()
             if column in batch.schema.names:
                 values = batch.column(column).to_pylist()
                 times = batch.column("drive").cast("int64").to_numpy() / 1e9
-                found += [pair for pair in zip(times, values, strict=True) if pair[1]]
-    return sorted(found, key=lambda pair: pair[0])
+                results += [pair for pair in zip(times, values, strict=True) if pair[1]]
+    return sorted(results, key=lambda pair: pair[0])
 
 
 def test_poses_samples_and_readings_are_the_trials(folders, tmp_path):
@@ -40,11 +40,11 @@ def test_poses_samples_and_readings_are_the_trials(folders, tmp_path):
     out = tmp_path / "drive.rrd"
     words = ["export", trial, simulator, controller, "--to", "rerun", "-o", out, "--json"]
     done = CliRunner().invoke(cli, [*map(str, words)], catch_exceptions=False)
-    said = json.loads(done.stdout)
+    content = json.loads(done.stdout)
     artefacts = gather(folders)
     shown = film(artefacts, artefacts.trials[0])
-    assert said["frames"] == len(shown.times)
-    assert (said["samples"], said["sensors"]) == (20, ["light"])
+    assert content["frames"] == len(shown.times)
+    assert (content["samples"], content["sensors"]) == (20, ["light"])
     for name, poses in (("robot", shown.robot), ("predicted", shown.predicted)):
         known = np.isfinite(poses).all(axis=1)
         origins = rows(out, f"/{name}", "Arrows3D:origins")

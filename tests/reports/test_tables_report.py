@@ -99,25 +99,25 @@ def test_cells_have_no_highest_number(tmp_path):
 
 
 def test_one_generation_is_drawn_as_a_point(tmp_path, monkeypatch):
-    drawn = []
+    pictures = []
     monkeypatch.setattr(
-        controllers, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>"
+        controllers, "to_svg", lambda figure, *_: pictures.append(figure) or "<svg></svg>"
     )
     write_report([network(tmp_path / "a", [10.0], [5.0])], tmp_path / "page.html")
-    (axes,) = drawn[0].axes
+    (axes,) = pictures[0].axes
     assert [line.get_marker() for line in axes.lines] == ["o", "o"]
     assert {float(tick) % 1 for tick in axes.get_xticks()} == {0.0}
 
 
 def test_the_legend_stands_beside_the_lines(tmp_path, monkeypatch):
-    drawn = []
+    pictures = []
     monkeypatch.setattr(
-        controllers, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>"
+        controllers, "to_svg", lambda figure, *_: pictures.append(figure) or "<svg></svg>"
     )
     low = network(tmp_path / "a", [30.0, 300.0, 20.0], [10.0, 20.0, 10.0], transfer=2)
     write_report([low], tmp_path / "page.html")
-    (axes,) = drawn[0].axes
-    drawn[0].draw_without_rendering()
+    (axes,) = pictures[0].axes
+    pictures[0].draw_without_rendering()
     legend, panel = axes.get_legend().get_window_extent(), axes.get_window_extent()
     assert legend.y0 >= panel.y1 - 1
 

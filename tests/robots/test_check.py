@@ -22,41 +22,41 @@ def lines(ask=None, **options):
     return checked(VirtualLinesRig(1, camera=False, **options), ask)
 
 
-def wrong(found):
-    return {what: one.sentence for what, one in found.items() if one.verdict == "wrong"}
+def wrong(result):
+    return {what: one.sentence for what, one in result.items() if one.verdict == "wrong"}
 
 
 def test_a_robot_that_is_as_it_says():
-    found = lines()
-    assert not wrong(found)
-    assert {one.verdict for one in found.values()} == {"good"}
+    result = lines()
+    assert not wrong(result)
+    assert {one.verdict for one in result.values()} == {"good"}
     # 115,200 baud carry an answer of 50 bytes in 4 ms.
-    assert 3 < found["latency"].measured["latency_ms"] < 15
-    assert found["command left"].measured["speed_m_s"] == pytest.approx(0.15, rel=0.05)
+    assert 3 < result["latency"].measured["latency_ms"] < 15
+    assert result["command left"].measured["speed_m_s"] == pytest.approx(0.15, rel=0.05)
     # It takes whole percents, and turns from 4 % on.
-    assert found["dead band left"].measured["least_percent"] == pytest.approx(5)
-    assert 7 < found["battery"].measured["battery_v"] < 9
-    json.dumps([one.describe() for one in found.values()])
+    assert result["dead band left"].measured["least_percent"] == pytest.approx(5)
+    assert 7 < result["battery"].measured["battery_v"] < 9
+    json.dumps([one.describe() for one in result.values()])
 
 
 def test_a_khepera_has_nothing_that_stops_it():
     with VirtualKheperaRig(1, start=(-0.1, 0.1, 0.0)) as rig:
-        found = checked(rig)
-    assert set(wrong(found)) == {"self-stopping"}
-    assert "when the computer fails" in found["self-stopping"].sentence
-    assert found["battery"].verdict == "unknown"
+        report = checked(rig)
+    assert set(wrong(report)) == {"self-stopping"}
+    assert "when the computer fails" in report["self-stopping"].sentence
+    assert report["battery"].verdict == "unknown"
 
 
 def test_where_nothing_counts_a_person_is_asked():
     silent = lines(kind="omni")
     assert {silent[f"command {name}"].verdict for name in ("vx", "vy", "omega")} == {"unknown"}
     asked = []
-    found = lines(lambda question: asked.append(question) or "left, counter" not in question,
+    result = lines(lambda question: asked.append(question) or "left, counter" not in question,
                   kind="omni")  # fmt: skip
     assert "Did it drive forward?" in asked
     assert "Did it drive to its left?" in asked
-    assert set(wrong(found)) == {"command omega"}
-    assert "change the sign" in found["command omega"].sentence
+    assert set(wrong(result)) == {"command omega"}
+    assert "change the sign" in result["command omega"].sentence
     with VirtualRig(1, camera=False) as rig:
         assert checked(rig)["command left"].verdict == "unknown"
 
@@ -88,9 +88,9 @@ def test_a_robot_that_does_not_stop_by_itself_is_found(monkeypatch):
 
 
 def test_a_slow_line_is_found():
-    found = lines(baud=2400)
-    assert "too slow for a closed-loop controller" in wrong(found)["latency"]
-    assert found["latency"].measured["latency_ms"] > 100
+    result = lines(baud=2400)
+    assert "too slow for a closed-loop controller" in wrong(result)["latency"]
+    assert result["latency"].measured["latency_ms"] > 100
 
 
 @pytest.mark.slow
@@ -99,9 +99,9 @@ def test_from_the_command_line():
     done = subprocess.run([*run, "virtual-car", "--json"], capture_output=True, text=True,
                           timeout=PATIENCE)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["robot"]["name"] == "car"
-    assert told["wrong"] == 0
+    content = json.loads(done.stdout)
+    assert content["robot"]["name"] == "car"
+    assert content["wrong"] == 0
     done = subprocess.run([*run, "virtual-khepera"], capture_output=True, text=True,
                           timeout=PATIENCE)  # fmt: skip
     assert done.returncode == 1

@@ -71,12 +71,12 @@ def sent(wiring, lamp, *commands):
             guard, heard = robot._brick._sock, []
             plain = guard._write
             guard._write = lambda data: heard.append(data) or plain(data)
-            found = []
+            results = []
             for command in commands:
                 heard.clear()
                 command(robot)
-                found.append(b"".join(heard))
-            return found
+                results.append(b"".join(heard))
+            return results
 
 
 def whole(data):

@@ -125,10 +125,10 @@ def test_an_e_puck_is_not_taken_for_an_e_puck2():
 @BOTH
 def test_check_robot_finds_that_nothing_stops_it(kind, dialect):
     with on_a_line(kind) as (fake, cable), driver(fake, cable, dialect) as robot:
-        found = {one.what: one for one in check(robot)}
-    assert {what for what, one in found.items() if one.verdict == "wrong"} == {"self-stopping"}
-    assert found["battery"].verdict == "good"
-    assert found["command left"].measured["speed_m_s"] == pytest.approx(
+        by_name = {one.what: one for one in check(robot)}
+    assert {what for what, one in by_name.items() if one.verdict == "wrong"} == {"self-stopping"}
+    assert by_name["battery"].verdict == "good"
+    assert by_name["command left"].measured["speed_m_s"] == pytest.approx(
         0.3 * robot.full_speed * robot.speed_unit, rel=0.05
     )
     assert fake.speeds == (0, 0)

@@ -104,8 +104,8 @@ def scripted():
 
 @pytest.fixture
 def line():
-    with scripted() as found:
-        yield found
+    with scripted() as result:
+        yield result
 
 
 @pytest.fixture
@@ -415,9 +415,9 @@ class Noisy:
         return len(self.waiting)
 
     def read(self, count):
-        found, self.waiting = self.waiting[:count], self.waiting[count:]
-        self.time += 0.0 if found else 0.1
-        return found
+        result, self.waiting = self.waiting[:count], self.waiting[count:]
+        self.time += 0.0 if result else 0.1
+        return result
 
     def write(self, data):
         if data.startswith(b"H"):

@@ -105,11 +105,11 @@ def test_what_asks_a_recording_to_end_stops_the_motors_first(tmp_path, lab, name
         assert child.poll() is None
         child.send_signal(number)
         assert stops(rig, drives)
-        _, said = child.communicate(timeout=PATIENCE)
+        _, stderr = child.communicate(timeout=PATIENCE)
     assert child.returncode == 128 + number
-    assert said.count("\n") <= 3
-    assert "interrupted" in said
-    assert "Traceback" not in said
+    assert stderr.count("\n") <= 3
+    assert "interrupted" in stderr
+    assert "Traceback" not in stderr
     assert Recording(tmp_path / "r").commands()["kind"].iloc[-1] == "command"
 
 

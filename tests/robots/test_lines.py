@@ -64,7 +64,7 @@ def test_a_line_with_another_byte_is_none(text, data):
 
 
 def test_a_greeting_is_read_as_it_is_written():
-    told = Greeting(
+    greeting = Greeting(
         "car",
         "1.0",
         Commands(
@@ -78,9 +78,11 @@ def test_a_greeting_is_read_as_it_is_written():
         lamp=True,
         battery=True,
     )
-    words = [line.split() for line in told.lines()]
-    assert Greeting.read([*words, ["colour", "red"]]) == told  # what is not known is passed over
-    assert told.values == 4
+    words = [line.split() for line in greeting.lines()]
+    assert (
+        Greeting.read([*words, ["colour", "red"]]) == greeting
+    )  # what is not known is passed over
+    assert greeting.values == 4
 
 
 @pytest.mark.parametrize(
@@ -134,11 +136,11 @@ def test_the_driver_drives_and_reads_it(device):
         assert moves(rig)
         robot.clock.sleep_until(robot.clock.now() + LATE + 0.5)
         assert not moves(rig)
-        way = np.hypot(*(rig.lab.body.pose - begin)[:2])
-        assert way == pytest.approx(0.2 * (1.0 + LATE), abs=0.03)
+        distance = np.hypot(*(rig.lab.body.pose - begin)[:2])
+        assert distance == pytest.approx(0.2 * (1.0 + LATE), abs=0.03)
         left, right = robot.read_counts()
-        assert (left - 1000) / robot.pulses_per_metre == pytest.approx(way, rel=0.05)
-        assert (right + 1000) / robot.pulses_per_metre == pytest.approx(way, rel=0.05)
+        assert (left - 1000) / robot.pulses_per_metre == pytest.approx(distance, rel=0.05)
+        assert (right + 1000) / robot.pulses_per_metre == pytest.approx(distance, rel=0.05)
         assert robot.stamp == pytest.approx(rig.lab.time, abs=0.01)  # the robot's own time
         about = json.loads(json.dumps(robot.describe()))
         assert about["virtual"]

@@ -68,10 +68,10 @@ def test_check_robot_tries_it(reach):
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     assert result["robot"]["port"] == PORT
-    found = {one["what"]: one for one in result["findings"]}
-    assert found["self-stopping"]["verdict"] == "good"
-    assert found["command left"]["measured"]["speed_m_s"] == pytest.approx(0.117, rel=0.1)
-    assert found["battery"]["measured"]["battery_v"] == pytest.approx(7.9)
+    by_name = {one["what"]: one for one in result["findings"]}
+    assert by_name["self-stopping"]["verdict"] == "good"
+    assert by_name["command left"]["measured"]["speed_m_s"] == pytest.approx(0.117, rel=0.1)
+    assert by_name["battery"]["measured"]["battery_v"] == pytest.approx(7.9)
 
 
 @pytest.mark.parametrize("name", ["Pybricks Hub", "A8:e2:c1:00:00:02", ""])

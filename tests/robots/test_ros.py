@@ -195,13 +195,13 @@ def test_a_laser_is_a_ring_of_sensors():
         assert robot.sensor_names == tuple(f"sensor_{number}" for number in range(8))
         # Half a metre from the wall ahead, 0.8 m from that to the left; others are out of reach.
         x, y, slant = rig.walls[0] - 0.5, rig.walls[1] - 0.8, math.cos(math.pi / 8)
-        ways = np.array([0.5, 0.5 / slant, 0.8, 0.8 / slant, 1, 1, 1, 0.5 / slant])
+        distances = np.array([0.5, 0.5 / slant, 0.8, 0.8 / slant, 1, 1, 1, 0.5 / slant])
         for turns, heading in enumerate((0.0, math.pi / 2, -math.pi)):
             rig.lab.place(x, y, heading)
             wait(robot, 1.0)
             read = list(robot.read_sensors().values())
             # Of several beams the nearest counts, so a little more is read than in the mean.
-            np.testing.assert_allclose(read, np.roll(1 - ways, -2 * turns), atol=0.05)
+            np.testing.assert_allclose(read, np.roll(1 - distances, -2 * turns), atol=0.05)
         about = json.loads(json.dumps(robot.describe()))
         assert about["laser"] == {"topic": "/scan", "sectors": 8, "reach": 1.0, "turned": 0.0}
         assert rig.node.bridge.log == []

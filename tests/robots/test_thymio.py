@@ -38,9 +38,9 @@ def test_messages_by_hand():
     reader = aseba.Reader()
     # Garbage before it, and cut anywhere.
     data = b"\xff\xff\x00" + negative + negative
-    found = [one for byte in data for one in reader.feed(bytes([byte]))]
-    assert [one.words for one in found] == [(7, -2)] * 2
-    assert (found[0].type, found[0].source) == (aseba.VARIABLES, 51)
+    result = [one for byte in data for one in reader.feed(bytes([byte]))]
+    assert [one.words for one in result] == [(7, -2)] * 2
+    assert (result[0].type, result[0].source) == (aseba.VARIABLES, 51)
 
 
 def test_its_sensors_see_the_walls_and_obstacles_of_a_place():
@@ -87,11 +87,11 @@ def test_the_driver_drives_and_reads_it():
         assert rig.firmware.targets == (250, 250)
         wait(rig, LATE + 0.6)
         assert rig.standing
-        way = np.hypot(*rig.lab.body.pose[:2])
-        assert way == pytest.approx(0.083 * (1.0 + LATE), abs=0.02)
+        distance = np.hypot(*rig.lab.body.pose[:2])
+        assert distance == pytest.approx(0.083 * (1.0 + LATE), abs=0.02)
         left, right = robot.read_counts()
-        assert (left - 1000) / robot.pulses_per_metre == pytest.approx(way, rel=0.05)
-        assert (right + 1000) / robot.pulses_per_metre == pytest.approx(way, rel=0.05)
+        assert (left - 1000) / robot.pulses_per_metre == pytest.approx(distance, rel=0.05)
+        assert (right + 1000) / robot.pulses_per_metre == pytest.approx(distance, rel=0.05)
         about = json.loads(json.dumps(robot.describe()))
         assert about["virtual"] is True
         assert about["firmware"] == 14

@@ -49,9 +49,11 @@ def test_what_a_robot_is_taken_for_is_said_and_asked(tmp_path):
     given = build_tables(paths, radius=0.085, full_speed=0.3)
     assert given.meta["body"] == {**guessed, "radius": "given", "full_speed": "given"}
     words = ["build-tables", *map(str, paths), "-o", str(tmp_path / "s")]
-    said = CliRunner().invoke(cli, [*words, "--radius", "85"]).output
-    assert "radius 85.0 mm (given), 53.0 mm between its wheels (guessed), 100 mm/s at full" in said
-    assert "Is it a Khepera? If not, build again with its --wheel-base, --full-speed." in said
+    output = CliRunner().invoke(cli, [*words, "--radius", "85"]).output
+    assert (
+        "radius 85.0 mm (given), 53.0 mm between its wheels (guessed), 100 mm/s at full" in output
+    )
+    assert "Is it a Khepera? If not, build again with its --wheel-base, --full-speed." in output
     motors = tmp_path / "motors.csv"
     simulator = build_tables(paths, wheel_base=0.14, full_speed=0.3)
     rows = [

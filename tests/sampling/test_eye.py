@@ -68,18 +68,18 @@ def test_it_sees_what_counters_do_not(tmp_path):
     params = KheperaParams.ideal(wheel=wheels)
     plan = SampleSettings(grid=3, held_out=0, duration=0.5)
     tables = {}
-    for way in ("counters", "camera"):
-        folder = tmp_path / way
+    for direction in ("counters", "camera"):
+        folder = tmp_path / direction
         folder.mkdir()
         with rig(params) as virtual, virtual.robot as robot:
             levels = plan.levels(robot.full_speed)
-            if way == "counters":
+            if direction == "counters":
                 measure = Counters(robot, WHEEL_BASE).measure
                 sample_motors(folder, robot, plan, levels, measure, lambda: None, 0)
             else:
                 with Eye(virtual.camera, calibration(), KHEPERA_MARKERS, robot.clock) as eye:
                     sample_motors(folder, robot, plan, levels, eye.measure, lambda: None, 0)
-        tables[way] = MotorTable.read_csv(folder / "motors.csv").twist
+        tables[direction] = MotorTable.read_csv(folder / "motors.csv").twist
     speeds = 10 * SPEED_UNIT * np.array([-1.0, 0.0, 1.0])
     left, right = np.meshgrid(wheels[0] * speeds, wheels[1] * speeds, indexing="ij")
     truth = np.stack([(left + right) / 2, 0 * left, (right - left) / WHEEL_BASE], axis=-1)
@@ -106,14 +106,14 @@ def test_a_robot_out_of_view_is_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"rotation": None, "translation": None}, "--points"),
         ({"image_size": (1280, 720)}, "1280x720, but the camera gives 640x480"),
     ],
 )
-def test_a_calibration_that_does_not_fit_is_refused(changes, said):
-    with rig(KheperaParams.ideal()) as virtual, pytest.raises(UserError, match=said):
+def test_a_calibration_that_does_not_fit_is_refused(changes, message):
+    with rig(KheperaParams.ideal()) as virtual, pytest.raises(UserError, match=message):
         Eye(virtual.camera, calibration(**changes), KHEPERA_MARKERS, virtual.lab.clock)
 
 
@@ -126,13 +126,13 @@ def test_photographs_over_a_khepera_are_of_a_smaller_board(tmp_path):
     np.testing.assert_allclose(marks[SCALE], marks[1.0] * [1, 1, SCALE, SCALE], atol=1e-6)
 
 
-def said_by(*words):
+def output_of(*words):
     done = CliRunner().invoke(cli, ["sample", *map(str, words)])
     return done.exit_code, str(done.exception or done.output)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--camera", "lab"], "--camera needs --calibration"),
         (["--calibration", "calibration.json"], "--calibration needs --camera"),
@@ -158,12 +158,12 @@ def said_by(*words):
         ),
     ],
 )
-def test_what_does_not_go_together_is_refused(tmp_path, monkeypatch, words, said):
+def test_what_does_not_go_together_is_refused(tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     calibration().write("calibration.json")
-    code, text = said_by("out", *words)
+    code, text = output_of("out", *words)
     assert code != 0
-    assert said in text
+    assert message in text
     assert not (tmp_path / "out").exists()
 
 
@@ -180,6 +180,6 @@ def test_sampling_with_a_camera_through_the_command_line(tmp_path, monkeypatch):
     assert about["motors"] == "camera"
     table = MotorTable.read_csv(tmp_path / "out" / "motors.csv")
     assert (np.abs(table.twist[..., 1]) > 0).all()  # counters say 0
-    code, text = said_by("out", "--resume", "--markers", "pink,blue", "--camera", "0")
+    code, text = output_of("out", "--resume", "--markers", "pink,blue", "--camera", "0")
     assert code != 0
     assert "does not see the virtual robot" in text

@@ -95,9 +95,9 @@ def test_samples_are_what_the_sensors_see_there(whole):
     assert result["samples"] == ["wall.sample", "cylinder.sample"]
     rng = np.random.default_rng(0)
     for name, y in (("wall", 0.0), ("cylinder", 3.0)):
-        found = Samples.read(out / f"{name}.sample")
-        assert found.activations.shape == (2, 36, 8)
-        truth = np.empty_like(found.activations)
+        computed = Samples.read(out / f"{name}.sample")
+        assert computed.activations.shape == (2, 36, 8)
+        truth = np.empty_like(computed.activations)
         for distance, away in enumerate((0.005, 0.015)):
             for angle in range(36):
                 pose = np.array([-0.0275 - away, y, math.radians(10 * angle)])
@@ -105,7 +105,7 @@ def test_samples_are_what_the_sensors_see_there(whole):
                     pose, params.angle, params.reach, params.threshold, params.offset,
                     (0.0, 0.0), 0.0, arena.surfaces, arena.cylinders, WHITE, rng,
                 ) / 1023  # fmt: skip
-        off = np.abs(found.activations - truth)
+        off = np.abs(computed.activations - truth)
         assert np.median(off) < 0.01
         assert off.mean() < 0.03
         assert truth.std() > 0.2
@@ -139,12 +139,12 @@ def test_motors(whole):
 
 def test_how_late_the_robot_is(whole):
     _, result, _, params, _ = whole
-    found = Reaction.from_json(result["reaction"])
-    assert found.lag == pytest.approx(params.lag, abs=0.004)
+    computed = Reaction.from_json(result["reaction"])
+    assert computed.lag == pytest.approx(params.lag, abs=0.004)
     # A reading is 43 bytes at most; a command 8 or 10, less the 2 that ask for counters.
     byte = 11 / BAUD
-    assert 20 * byte < found.hold < 45 * byte
-    assert found.answer == pytest.approx(7 * byte + dialect_named("khepera").scan / 2, abs=0.003)
+    assert 20 * byte < computed.hold < 45 * byte
+    assert computed.answer == pytest.approx(7 * byte + dialect_named("khepera").scan / 2, abs=0.003)
 
 
 @pytest.mark.slow
@@ -153,11 +153,11 @@ def test_distances_hold_though_wheels_are_unequal(tmp_path):
     settings = SampleSettings(angles=36, distances=5, step=0.008, grid=3, held_out=0, duration=0.5)
     uneven = replace(KheperaParams.sampled(1), dead_band=np.array([0.0, 0.002]), slip=0.0)
     sampled(tmp_path / "out", settings, params=uneven)
-    found = read_turns(tmp_path / "out")
+    result = read_turns(tmp_path / "out")
     arena, _ = sampling_places()
     rng = np.random.default_rng(0)
     samples = Samples.read(tmp_path / "out" / "wall.sample")
-    assert len(found) == 10 + len(PIVOTS)
+    assert len(result) == 10 + len(PIVOTS)
     for distance in range(5):
         pose = np.array([-0.0275 - 0.005 - 0.008 * distance, 0.0, 0.0])
         truth = physics.proximity(
@@ -219,18 +219,20 @@ class _Plain:
     @classmethod
     def turns(cls, facing, slips, settings):
         """Turn there and back at every distance, by so much too far to the left at first (rad)."""
-        found = {}
-        way = np.concatenate([np.linspace(0, 7 / 6, 600), np.linspace(7 / 6, 0, 600)]) * cls.full
+        results = {}
+        distance = (
+            np.concatenate([np.linspace(0, 7 / 6, 600), np.linspace(7 / 6, 0, 600)]) * cls.full
+        )
         for name, off in facing.items():
             slipped = 0.0
             for k in range(settings.distances):
                 away = settings.first + settings.step * k
-                truth = away + slipped + slips * np.linspace(0, 1, len(way))
-                seen = cls.reads(truth, 2 * np.pi * way / cls.full + off)
-                where = np.full_like(way, -away), np.zeros_like(way)
-                found[name, 1, k] = np.column_stack([-way, way, *where, seen])
+                truth = away + slipped + slips * np.linspace(0, 1, len(distance))
+                seen = cls.reads(truth, 2 * np.pi * distance / cls.full + off)
+                where = np.full_like(distance, -away), np.zeros_like(distance)
+                results[name, 1, k] = np.column_stack([-distance, distance, *where, seen])
                 slipped += slips
-        return found
+        return results
 
     @classmethod
     def samples(cls, out, facing, slips, settings):
@@ -256,8 +258,8 @@ def test_samples_are_readings_beside_a_steep_edge(tmp_path):
     for rows in turns.values():
         rows[:, 4:] = rows[:, 4:] > 0.3
     for path in write_samples(tmp_path, settings, turns, _Plain(), _Plain.full, (1.0, 1.0)):
-        found = Samples.read(path).activations
-        assert (found.min(), found.max()) == (0, 1)
+        result = Samples.read(path).activations
+        assert (result.min(), result.max()) == (0, 1)
 
 
 def test_wall_and_obstacle_agree_in_where_sensors_look(tmp_path):

@@ -39,11 +39,11 @@ def test_every_network_as_stepped(kind, form):
         families(POSES_GOALS_TIME, scale=(40.0, 35.0))[kind],
     )
     draws = sim.rollouts(family, EPISODE).draw(STARTS, 3, PLACING)
-    found, expected = both(sim, family, EPISODE, draws)
-    assert_alike(found, expected, 1e-9, 1e-6)
-    near = np.linalg.norm(found.poses[..., None, :2] - GOALS[:, :2], axis=-1) <= EPISODE.reach
+    result, expected = both(sim, family, EPISODE, draws)
+    assert_alike(result, expected, 1e-9, 1e-6)
+    near = np.linalg.norm(result.poses[..., None, :2] - GOALS[:, :2], axis=-1) <= EPISODE.reach
     assert near[..., :-2, 0].any()  # the second goal became the next one
-    assert found.commands[..., -1, :].max() == 0.0  # at rest
+    assert result.commands[..., -1, :].max() == 0.0  # at rest
 
 
 @pytest.mark.parametrize("rest", [0.0, 0.5])
@@ -89,8 +89,8 @@ def test_the_same_outcome_is_the_same_for_all():
     sim, family = random_motion_network(), families(POSES_GOALS_TIME)["ctrnn"]
     rollouts = sim.rollouts(family, EPISODE)
     draws = rollouts.draw(STARTS, 3, PLACING)
-    found = rollouts.run(genes_of(family)[[0, 0]], repeated(draws, 2)).poses
-    assert (found == found[0, 0]).all()
+    rolled_out = rollouts.run(genes_of(family)[[0, 0]], repeated(draws, 2)).poses
+    assert (rolled_out == rolled_out[0, 0]).all()
     assert_reused(sim, family, EPISODE, draws)
 
 

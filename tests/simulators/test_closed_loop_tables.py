@@ -86,15 +86,15 @@ def test_with_and_without(rest, reads):
 def test_seeds_expand_to_numbers_of_their_kind(noise):
     sim = simulator(noise)
     seeds = np.random.default_rng(0).integers(0, 2**64, 400, dtype=np.uint64)
-    found = sim.noise_of(seeds, 50)
-    assert found.shape == (400, 50, 11)
-    assert np.abs(found.mean(axis=(0, 1))).max() < 0.03
+    result = sim.noise_of(seeds, 50)
+    assert result.shape == (400, 50, 11)
+    assert np.abs(result.mean(axis=(0, 1))).max() < 0.03
     width = 1.0 if noise == "samples" else 1.0 / np.sqrt(3.0)
-    assert found.std(axis=(0, 1)) == pytest.approx(np.full(11, width), rel=0.03)
-    assert (np.abs(found).max() <= 1.0) == (noise == "uniform")
-    between = np.corrcoef(found.reshape(-1, 11).T) - np.eye(11)
+    assert result.std(axis=(0, 1)) == pytest.approx(np.full(11, width), rel=0.03)
+    assert (np.abs(result).max() <= 1.0) == (noise == "uniform")
+    between = np.corrcoef(result.reshape(-1, 11).T) - np.eye(11)
     assert np.abs(between).max() < 0.03
-    assert (sim.noise_of(seeds[3:5], 20) == found[3:5, :20]).all()
+    assert (sim.noise_of(seeds[3:5], 20) == result[3:5, :20]).all()
 
 
 def test_the_same_outcome_is_the_same_for_all():
@@ -103,6 +103,6 @@ def test_the_same_outcome_is_the_same_for_all():
     rollouts = sim.rollouts(family, EPISODE)
     draws = rollouts.draw(starts(sim), np.random.default_rng(1))
     assert (rollouts.draw(starts(sim), 1).noise == draws.noise).all()
-    found = rollouts.run(genes_of(family)[[0, 0]], repeated(draws, 2)).poses
-    assert (found == found[0, 0]).all()
+    rolled_out = rollouts.run(genes_of(family)[[0, 0]], repeated(draws, 2)).poses
+    assert (rolled_out == rolled_out[0, 0]).all()
     assert_reused(sim, family, EPISODE, draws)

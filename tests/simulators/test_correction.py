@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from closed_loops import POSES_GOALS_TIME, assert_alike, both, families
-from given_plans import GivenPlans, by_protocol, drawn, expected
+from given_plans import GivenPlans, by_protocol, expected, sampled_poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion_networks import LONGEST, drive_model, random_motion_network
@@ -62,8 +62,8 @@ def test_two_wheels_worked_by_hand():
     left, right = 1.2, 0.9
     correction = Correction(1.05, 1.05, (right - left) / BASE, (right - left) * BASE / 4)
     drive = correction.of_drive(instant())
-    ways = 0.3 * 2.0 * left * 0.5, 0.3 * 2.0 * right * 1.0
-    wanted = sum(ways) / 2, 0.0, (ways[1] - ways[0]) / BASE
+    distances = 0.3 * 2.0 * left * 0.5, 0.3 * 2.0 * right * 1.0
+    wanted = sum(distances) / 2, 0.0, (distances[1] - distances[0]) / BASE
     assert driven_twist(drive, 0.5, 1.0, 2.0)[0].tolist() == pytest.approx(wanted)
 
 
@@ -114,9 +114,9 @@ def test_as_it_stands_nothing_changes():
     assert sim.conditions() == {}
     plans, starts = some(), np.zeros((6, 3))
     assert np.array_equal(by_protocol(sim, starts, plans), by_protocol(SIMULATOR, starts, plans))
-    found = [expected(one.rollouts(plans, Episode(rest=0.5)), plans, starts[0]) for one in
+    rolled_out = [expected(one.rollouts(plans, Episode(rest=0.5)), plans, starts[0]) for one in
              (sim, SIMULATOR)]  # fmt: skip
-    assert np.array_equal(*found)
+    assert np.array_equal(*rolled_out)
     for name, value in SIMULATOR.compiled()._asdict().items():
         assert np.array_equal(getattr(sim.compiled(), name), value, equal_nan=True), name
 
@@ -126,9 +126,9 @@ def test_as_it_stands_nothing_changes():
 def test_compiled_is_stepped(values):
     sim, plans = SIMULATOR.adjusted(values), some()
     start, rest = np.array([0.1, -0.2, 0.7]), Episode(rest=0.5)
-    found = expected(sim.rollouts(plans, rest), plans, start)
+    rolled_out = expected(sim.rollouts(plans, rest), plans, start)
     stepped = by_protocol(sim, np.repeat(start[None], 6, 0), plans)
-    np.testing.assert_allclose(found, stepped, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rolled_out, stepped, rtol=0, atol=1e-9)
     family = families(POSES_GOALS_TIME, scale=(40.0, 35.0))["hidden"]
     episode = Episode(0.4, 8, 0.5, np.array([[0.05, 0.02, 0.3]]))
     draws = sim.rollouts(family, episode).draw(np.zeros((4, 3)), 3)
@@ -148,7 +148,10 @@ def test_it_does_not_matter_into_what_a_command_is_cut(values, cuts):
         noise = np.concatenate([noise, np.full((1, commanded.shape[1] - 1, 4), 99.0)], axis=1)
         noise[:, -1] = 0.1
         draws = Draws(np.zeros((1, 3)), np.array([1]), noise)
-        paths = drawn(rollouts, plans, draws)[0, 0], by_protocol(sim, np.zeros((1, 3)), plans)[0]
+        paths = (
+            sampled_poses(rollouts, plans, draws)[0, 0],
+            by_protocol(sim, np.zeros((1, 3)), plans)[0],
+        )
         ends.append([path[[commanded.shape[1], -1]] for path in paths])
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-10)
 
@@ -213,8 +216,8 @@ def test_a_robot_that_does_not_turn_by_its_wheels_has_no_slip():
     st.floats(1e-3, 10.0), st.floats(1.001, 1e3), st.booleans(), st.sampled_from([0.0, 1.0])
     | st.floats(-1.0, 2.0),
 )  # fmt: skip
-def test_no_share_leads_out_of_bounds(low, width, log, share):
+def test_no_share_leads_out_of_bounds(low, width, log, fraction):
     one = Adjustable("x", low, low, low * width, log=log)
-    value = one.checked(one.at(share))
-    if 0.0 <= share <= 1.0:
-        assert one.share(value) == pytest.approx(share, abs=1e-9)
+    value = one.checked(one.at(fraction))
+    if 0.0 <= fraction <= 1.0:
+        assert one.share(value) == pytest.approx(fraction, abs=1e-9)

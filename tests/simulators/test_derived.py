@@ -47,9 +47,9 @@ def given(sim, inputs):
 @pytest.mark.parametrize(("speeds", "turns"), CHANGES)
 def test_the_change_of_direction_in_half_turns(speeds, turns):
     inputs = torch.tensor([[*speeds, 1.0]], dtype=torch.float64)
-    found = given(random_motion_network(swing=0.03, drives=False), inputs)
-    assert found.shape == (1, 6)
-    assert found[0, 5].item() == pytest.approx(turns, abs=1e-12)
+    driven = given(random_motion_network(swing=0.03, drives=False), inputs)
+    assert driven.shape == (1, 6)
+    assert driven[0, 5].item() == pytest.approx(turns, abs=1e-12)
     mirrored = given(random_motion_network(swing=-0.03, drives=False), inputs)
     assert mirrored[0, 5].item() == pytest.approx(1.0 if turns == -1.0 else turns, abs=1e-12)
 
@@ -63,9 +63,9 @@ def test_the_compiled_form_agrees(swing):
     rows += np.random.default_rng(0).uniform(-50, 50, (50, 5)).tolist()
     expected = given(sim, torch.tensor(rows, dtype=torch.float64)).numpy()
     for row, wanted in zip(np.array(rows), expected, strict=True):
-        state, found = np.array([0.0, 0.0, 0.0, *row[:2]]), np.empty(len(wanted))
-        assert not inputs_of(model, state, row[2:], np.empty(7), np.empty(0), found)
-        assert found == pytest.approx(wanted, abs=1e-12)
+        state, out = np.array([0.0, 0.0, 0.0, *row[:2]]), np.empty(len(wanted))
+        assert not inputs_of(model, state, row[2:], np.empty(7), np.empty(0), out)
+        assert out == pytest.approx(wanted, abs=1e-12)
 
 
 @pytest.mark.parametrize("swing", [None, 0.03])
@@ -81,11 +81,11 @@ def test_the_compiled_form_agrees_beside_a_drive_model(swing):
         state = sim.step(state, torch.from_numpy(command[None]))
         speeds, driven = state[0, start : start + 2], torch.from_numpy(command[None, :2])
         x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 9:10] / sim.longest])
-        found = np.empty(5 + len(sim.derived))
+        out = np.empty(5 + len(sim.derived))
         began = np.empty((2 + model.slots) * 2 + model.slots)
-        assert not inputs_of(model, before, command, np.empty(7), began, found)
+        assert not inputs_of(model, before, command, np.empty(7), began, out)
         wanted = sim.derived.append(sim.columns, x[None])[0]
-        assert found == pytest.approx(wanted.numpy(), abs=1e-12)
+        assert out == pytest.approx(wanted.numpy(), abs=1e-12)
 
 
 def test_written_and_read(tmp_path):

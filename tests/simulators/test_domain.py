@@ -87,28 +87,28 @@ def with_domain(**changes):
 def test_files_keep_it_and_older_ones_do_without(tmp_path):
     simulator = with_domain()
     write_motion(simulator, tmp_path)
-    found = read_motion(tmp_path)
+    read = read_motion(tmp_path)
     commands = random_commands(np.random.default_rng(1), 500)
-    assert found.knows_gaps
-    assert found.domain == simulator.domain
-    assert (found.supported(commands) == simulator.supported(commands)).all()
-    assert "domain" not in found.meta
+    assert read.knows_gaps
+    assert read.domain == simulator.domain
+    assert (read.supported(commands) == simulator.supported(commands)).all()
+    assert "domain" not in read.meta
     path = tmp_path / "simulator.json"
-    said = json.loads(path.read_text())
-    assert said["domain"]["commands"]["left"] == list(simulator.domain["left"])
+    content = json.loads(path.read_text())
+    assert content["domain"]["commands"]["left"] == list(simulator.domain["left"])
     for wrong in (
         [],
         {},
-        {**said["domain"], "rows": 0},
-        {**said["domain"], "reach": -1},
-        {**said["domain"], "commands": {"left": [-1, 1]}},
-        {**said["domain"], "commands": {name: [1, -1] for name in NAMES}},
+        {**content["domain"], "rows": 0},
+        {**content["domain"], "reach": -1},
+        {**content["domain"], "commands": {"left": [-1, 1]}},
+        {**content["domain"], "commands": {name: [1, -1] for name in NAMES}},
     ):
-        path.write_text(json.dumps({**said, "domain": wrong}))
+        path.write_text(json.dumps({**content, "domain": wrong}))
         with pytest.raises(FileError, match="domain"):
             read_motion(tmp_path)
-    del said["domain"]
-    path.write_text(json.dumps(said))
+    del content["domain"]
+    path.write_text(json.dumps(content))
     older = read_motion(tmp_path)
     assert not older.knows_gaps
     assert older.domain == {"left": (-50, 50), "right": (-50, 50), "duration": (0, 3)}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from given_plans import GivenPlans, drawn, expected
+from given_plans import GivenPlans, expected, sampled_poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion_networks import (
@@ -99,7 +99,7 @@ def integrated(drive, commands, dt=5e-4):
 
 @njit
 def _integrated(laws, delay, commands, dt, steps):
-    found = np.zeros((steps + 1, len(laws)))
+    out = np.zeros((steps + 1, len(laws)))
     for c in range(len(laws)):
         lag, slowing, braking, rate, stick = laws[c]
         speed = push = goal = held = 0.0
@@ -127,8 +127,8 @@ def _integrated(laws, delay, commands, dt, steps):
             speed = 0.0 if speed * goal < 0.0 and at * goal > 0.0 and held > 0.0 else at
             if goal == 0.0 or abs(speed) >= MOVING:
                 push = 0.0
-            found[n + 1, c] = speed
-    return found
+            out[n + 1, c] = speed
+    return out
 
 
 def integrated_pose(drive, speeds, dt=5e-4):
@@ -153,8 +153,8 @@ def test_an_exponential_worked_by_hand():
     # Two time constants; four where it slows down.
     up, down = math.exp(-2.0), math.exp(-4.0)
     assert left[0].tolist() == pytest.approx([0.5 * up, -0.6 * down])
-    way = [0.5 * 0.2 * (1 - up), -0.6 * 0.1 * (1 - down)]
-    assert missed[0].tolist() == pytest.approx(way)
+    distance = [0.5 * 0.2 * (1 - up), -0.6 * 0.1 * (1 - down)]
+    assert missed[0].tolist() == pytest.approx(distance)
     assert settling[0].tolist() == pytest.approx([0.5, 0.25])
     # 0.4 s after a delay of 0.1 s, within which nothing happens.
     speed, _ = drive.reached(drive.begun(before), target, double([0.5]))
@@ -221,8 +221,8 @@ def test_standing_and_braking_worked_by_hand():
     before, target = double([[0.0, 0.8]]), double([[0.5, 0.0]])
     left, missed, settling, _ = drive.approach(before, target, double([0.3]))
     assert left[0].tolist() == pytest.approx([0.5 * math.exp(-1.0), -0.8 * math.exp(-3.0)])
-    way = [0.05 + 0.1 * (1 - math.exp(-1.0)), -0.08 * (1 - math.exp(-3.0))]
-    assert missed[0].tolist() == pytest.approx(way)
+    distance = [0.05 + 0.1 * (1 - math.exp(-1.0)), -0.08 * (1 - math.exp(-3.0))]
+    assert missed[0].tolist() == pytest.approx(distance)
     assert settling[0].tolist() == pytest.approx([0.6, 0.25])
     assert reached(drive, before, target, double([0.06]))[0, 0] == 0.0
     # From -0.5 to 0.5 it stands when half of the way is left, after 0.2 ln 2 s, for 0.1 s.
@@ -292,25 +292,25 @@ def test_a_sequence_of_commands_follows_the_law_integrated_in_small_steps(spans,
     drive = late_model(seed, sticky)
     commands, dt = commanded(drive, seed, spans), 5e-4
     speeds, under = integrated(drive, commands, dt), standing(drive, len(commands))
-    ends, way, away = np.zeros(len(commands), int), 0.0, []
+    ends, distance, away = np.zeros(len(commands), int), 0.0, []
     for command in torch.from_numpy(commands).unbind(1):
         target, time = command[:, :2], command[:, 2]
-        way = way + sum(drive.pieces(under, target, time))[:, :2].numpy()
+        distance = distance + sum(drive.pieces(under, target, time))[:, :2].numpy()
         under = drive.after(under, target, time, drive.reached(under, target, time))
         ends = ends + np.round(time.numpy() / dt).astype(int)
         for b, end in enumerate(ends):
             integral = np.trapezoid(speeds[: end + 1, b], dx=dt, axis=0)
-            away.append((under.speed[b].numpy() - speeds[end, b], way[b] - integral))
-    speed, way = np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
+            away.append((under.speed[b].numpy() - speeds[end, b], distance[b] - integral))
+    speed, distance = np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
     # Friction holds a wheel or does not: a step's difference may decide that, in few of the robots.
     few = 2 if sticky else 0
     assert np.sort(speed)[-1 - few] < (0.02 if sticky else 0.005)
-    assert np.sort(way)[-1 - few] < (0.004 if sticky else 0.001)
+    assert np.sort(distance)[-1 - few] < (0.004 if sticky else 0.001)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 9999), st.floats(0.1, 0.9), st.booleans())
-def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, share, sticky):
+def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, fraction, sticky):
     drive = late_model(seed, sticky)
     commands = torch.from_numpy(commanded(drive, seed, "mixed", seconds=2.0))
     whole = standing(drive, len(commands))
@@ -320,7 +320,7 @@ def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, share, sti
     for command in commands.unbind(1):
         target, time = command[:, :2], command[:, 2]
         whole = drive.after(whole, target, time, drive.reached(whole, target, time))
-        first = torch.where(time > 0.2, share * time, 0.5 * time)
+        first = torch.where(time > 0.2, fraction * time, 0.5 * time)
         for part in (first, time - first):
             cut = drive.after(cut, target, part, drive.reached(cut, target, part))
     assert torch.allclose(cut.speed, whole.speed, atol=2e-4)
@@ -358,11 +358,11 @@ def test_phases_are_near_a_fine_integration(
     )
     under = drive.begun(before[None], before[None])
     moved, steady = drive.phases(under, target[None], double([time]))
-    found = se2.compose(moved, se2.exp(steady))[0].numpy()
+    result = se2.compose(moved, se2.exp(steady))[0].numpy()
     speeds = integrated(drive, commands[None])[:, 0]
     wanted = integrated_pose(drive, speeds[round(first / 5e-4) :])
-    assert np.abs(found - wanted)[:2].max() < metres
-    assert abs(found - wanted)[2] < radians
+    assert np.abs(result - wanted)[:2].max() < metres
+    assert abs(result - wanted)[2] < radians
 
 
 def test_the_turn_of_a_car_at_its_speed_is_the_product():
@@ -377,9 +377,9 @@ def test_straight_ahead_the_phases_are_exact():
     before, target = double([[-1.0, -1.0]]), double([[1.0, 1.0]])
     moved, steady = drive.phases(drive.begun(before), target, double([0.8]))
     missed = drive.approach(before, target, double([0.75])).missed
-    way = 0.3 * (0.75 - float(missed[0, 0]) - 0.05)
+    distance = 0.3 * (0.75 - float(missed[0, 0]) - 0.05)
     ahead = se2.compose(moved, se2.exp(steady))[0].tolist()
-    assert ahead == pytest.approx([way, 0.0, 0.0], abs=1e-12)
+    assert ahead == pytest.approx([distance, 0.0, 0.0], abs=1e-12)
     # At its speed already, the robot drives an arc, whatever the pieces.
     speeds = double([[0.4, 0.8]])
     moved, steady = drive.phases(drive.begun(speeds), speeds, double([2.0]))
@@ -408,8 +408,8 @@ def test_the_compiled_law_agrees(drive, before, target, time, push):
     law = np.empty(kernels._LAW)
     for c in range(2):
         given = (float(before[c]), float(target[c]), float(push[c]), time)
-        found = compiled_approach(arrays, c, *given, law)
-        assert found == pytest.approx(each[:, c].tolist(), abs=1e-13)
+        result = compiled_approach(arrays, c, *given, law)
+        assert result == pytest.approx(each[:, c].tolist(), abs=1e-13)
 
 
 @pytest.mark.parametrize("spans", [*SPANS, "very short"])
@@ -418,14 +418,14 @@ def test_compiled_steps_end_in_the_same_states(spans, delay):
     sim = delayed(SIMULATOR, delay)
     rng = np.random.default_rng(4)
     low, high = SPANS.get(spans, (0.001, 0.03))
-    drawn = rng.uniform((-50, -50, low), (50, 50, high), (40, 4, 3))
-    drawn[..., :2] *= rng.random((40, 4, 1)) < 0.8
+    random = rng.uniform((-50, -50, low), (50, 50, high), (40, 4, 3))
+    random[..., :2] *= rng.random((40, 4, 1)) < 0.8
     state, noise = driven(sim, [])[:, 0], normal(3, 40, 4, 4).float().double()
     stepper = sim.stepper()
-    for command, z in zip(drawn, noise, strict=True):
-        found = stepper.step(state.numpy(), command, z.numpy())
+    for command, z in zip(random, noise, strict=True):
+        result = stepper.step(state.numpy(), command, z.numpy())
         state = sim.step(state, torch.from_numpy(command), z=z)
-        np.testing.assert_allclose(found, state, atol=1e-12)
+        np.testing.assert_allclose(result, state, atol=1e-12)
 
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.12])
@@ -566,7 +566,7 @@ def cut(first, second):
     return double([[*FIRST, step] for step in first] + [[*SECOND, step] for step in second])
 
 
-def shares(cuts, time):
+def fractions_of(cuts, time):
     return [time * c / sum(cuts) for c in cuts]
 
 
@@ -611,7 +611,9 @@ def test_it_does_not_matter_into_what_a_command_is_cut(noisy, first, second, beg
     counts = len(first), len(second)
     noise = [noise_of(1, 1), noise_of(*counts)] if noisy else [None, None]
     whole = driven(SIMULATOR, cut((begin,), (time,)), noise[0])[:, -1]
-    pieces = driven(SIMULATOR, cut(shares(first, begin), shares(second, time)), noise[1])[:, -1]
+    pieces = driven(
+        SIMULATOR, cut(fractions_of(first, begin), fractions_of(second, time)), noise[1]
+    )[:, -1]
     # The whole state, but for the heading's own 2 pi.
     assert torch.allclose(pieces, whole, rtol=0, atol=1e-10)
 
@@ -627,13 +629,18 @@ def test_one_step_of_3_s_six_of_half_a_second_and_thirty_of_a_tenth():
 @given(CUTS, CUTS, TIMES, TIMES)
 def test_compiled_plans_may_be_cut(noisy, first, second, begin, time):
     ends = []
-    for durations in (((begin,), (time,)), (shares(first, begin), shares(second, time))):
+    for durations in (
+        ((begin,), (time,)),
+        (fractions_of(first, begin), fractions_of(second, time)),
+    ):
         commands = cut(*durations).numpy()[None]
         plans = GivenPlans(commands, np.ones(commands.shape[:2], bool))
         rollouts = SIMULATOR.rollouts(plans, Episode(rest=0.5))
         if noisy:
             noise = noise_of(*map(len, durations), 1)[1:].numpy()
-            paths = drawn(rollouts, plans, Draws(POSES[1:].numpy(), MEMBERS[1:].numpy(), noise))[0]
+            paths = sampled_poses(
+                rollouts, plans, Draws(POSES[1:].numpy(), MEMBERS[1:].numpy(), noise)
+            )[0]
         else:
             paths = expected(rollouts, plans, POSES[0].numpy())
         at = np.array([len(durations[0]), commands.shape[1], commands.shape[1] + 1])
@@ -644,15 +651,15 @@ def test_compiled_plans_may_be_cut(noisy, first, second, begin, time):
 @pytest.mark.parametrize("noisy", [False, True])
 def test_a_network_that_holds_its_output_may_be_asked_at_any_interval(noisy):
     family = Network(("x",), outputs=("left", "right"), scale=50.0)
-    genes, found = np.array([[0.0, 0.8, 0.0, -0.3], [0.0, 0.2, 0.0, 0.9]]), {}
+    genes, result = np.array([[0.0, 0.8, 0.0, -0.3], [0.0, 0.2, 0.0, 0.9]]), {}
     for steps in (1, 6, 30):
         rollouts = SIMULATOR.rollouts(family, Episode(3.0 / steps, steps, rest=0.5))
         noise = noise_of(steps, 1).numpy() if noisy else None
-        found[steps] = rollouts.run(genes, Draws(POSES.numpy(), MEMBERS.numpy(), noise)).poses
+        result[steps] = rollouts.run(genes, Draws(POSES.numpy(), MEMBERS.numpy(), noise)).poses
     for steps in (6, 30):
         at = [0, steps, steps + 1]
-        np.testing.assert_allclose(found[steps][:, :, at], found[1], rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found[30][:, :, :31:5], found[6][:, :, :7], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(result[steps][:, :, at], result[1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result[30][:, :, :31:5], result[6][:, :, :7], rtol=0, atol=1e-10)
 
 
 def test_noise_that_is_drawn_holds_until_the_command_ends():
@@ -749,17 +756,17 @@ def test_to_stop_a_robot_that_stands(first):
 @pytest.mark.parametrize("drives", [False, True])
 def test_chained_inputs_are_those_of_steps_from_rest(drives):
     sim = random_motion_network(noise=False, drives=drives)
-    drawn = np.random.default_rng(4).uniform((-50, -50, 0.1), (50, 50, 0.5), (12, 3))
-    commands = torch.from_numpy(drawn)
+    random = np.random.default_rng(4).uniform((-50, -50, 0.1), (50, 50, 0.5), (12, 3))
+    commands = torch.from_numpy(random)
     before = torch.cat([torch.zeros(1, 2), commands[:-1, :2]])
     inputs = torch.cat([before, commands], dim=1)
     x = sim.chained(inputs)
     poses = driven(sim, commands, members=MEMBERS[:1])[0, :, :3]
     moved = se2.between(poses[:-1], poses[1:])
-    found = sim.displacement_of(x)
+    result = sim.displacement_of(x)
     # What was left before the fifth command back is forgotten.
-    assert torch.allclose(found[:5], moved[:5], rtol=0, atol=1e-12)
-    assert torch.allclose(found, moved, rtol=0, atol=1e-3)
+    assert torch.allclose(result[:5], moved[:5], rtol=0, atol=1e-12)
+    assert torch.allclose(result, moved, rtol=0, atol=1e-3)
     # A command that does not follow the row before it begins with the commanded speed.
     inputs[6, :2] = 10.0
     again = sim.chained(inputs)

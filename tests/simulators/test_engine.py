@@ -89,11 +89,11 @@ def test_a_simulator_of_ones_own_is_what_its_steps_say(own):
 
 @pytest.mark.slow
 def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
-    simulator, shares = own("2.0"), []
+    simulator, fractions = own("2.0"), []
     functions = engine.functions_of(simulator.compiled())
 
     def drive(*given):
-        shares.append(given[5:7])
+        fractions.append(given[5:7])
         functions.drive(*given)
 
     drive.overloads = {"compiled": True}
@@ -101,15 +101,15 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
     monkeypatch.setattr(engine, "_FUNCTIONS", own_functions)
 
     def driven(cores):
-        shares.clear()
+        fractions.clear()
         for module in (engine, threads.numba):
             monkeypatch.setattr(module, "get_num_threads", lambda: cores)
         return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, samples=301).poses
 
     alone = driven(1)
-    assert sorted(shares) == [(0, 1)]
+    assert sorted(fractions) == [(0, 1)]
     assert np.array_equal(driven(3), alone)
-    assert sorted(shares) == [(0, 1), (1, 2), (2, 3)]
+    assert sorted(fractions) == [(0, 1), (1, 2), (2, 3)]
 
 
 @pytest.mark.slow

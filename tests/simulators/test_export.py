@@ -33,8 +33,8 @@ def test_the_program_is_the_step(exported, rows):
     state, noise = given(simulator, commands)
     for parts in (1, 3):
         expected = drive(ours(simulator), state, commands, noise, parts)
-        found = drive(program, state, commands, noise, parts)
-        torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+        driven = drive(program, state, commands, noise, parts)
+        torch.testing.assert_close(driven, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -61,9 +61,9 @@ def test_the_page_runs_without_neurosim(exported):
     highest = torch.tensor([one["highest"] for one in about["command"]], dtype=torch.float64)
     commands = torch.stack([0.5 * highest, 0.5 * highest, 0.25 * highest])
     start = simulator.start(torch.zeros(1, 3))
-    found = printed_by_page(folder)
+    result = printed_by_page(folder)
     expected = drive(ours(simulator), start, commands[None])[0]
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+    torch.testing.assert_close(result, expected, rtol=0, atol=1e-9)
 
 
 def test_one_network_of_whole_commands(tmp_path):
@@ -73,9 +73,9 @@ def test_one_network_of_whole_commands(tmp_path):
     program = torch.export.load(tmp_path / "program" / "step.pt2").module()
     commands = random_plans(simulator, 7)
     state, _ = given(simulator, commands)
-    found = drive(lambda state, command, _: program(state, command), state, commands)
+    driven = drive(lambda state, command, _: program(state, command), state, commands)
     expected = drive(ours(simulator), state, commands)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(driven, expected, rtol=0, atol=1e-12)
     assert "noise" not in (tmp_path / "program" / "README.md").read_text().split("```")[0]
 
 
@@ -96,9 +96,9 @@ def test_float32_is_near(simulator):
     single = simulator.for_export(torch.float32)
     for parts in (1,) if simulator.drive is None else (1, 2, 7):  # or a step is a whole command
         expected = drive(ours(simulator), state, commands, noise, parts)
-        found = drive(ours(single), state.float(), commands, noise, parts)
-        assert torch.linalg.norm((found - expected)[..., :2], dim=-1).max() < 1e-4
-        assert (found - expected)[..., 2].abs().max() < 1e-3
+        driven = drive(ours(single), state.float(), commands, noise, parts)
+        assert torch.linalg.norm((driven - expected)[..., :2], dim=-1).max() < 1e-4
+        assert (driven - expected)[..., 2].abs().max() < 1e-3
     assert simulator.genes.dtype == torch.float64  # ours stays what it was
 
 
@@ -124,8 +124,8 @@ def test_a_step_of_ones_own(tmp_path):
 
     about = export(Traced(), tmp_path / "program", "torch")
     assert about["command"][0] == {"name": "v", "lowest": None, "highest": None}
-    found = printed_by_page(tmp_path / "program")
-    assert found[0].tolist() == [0.5, 0.0, 0.5]
+    result = printed_by_page(tmp_path / "program")
+    assert result[0].tolist() == [0.5, 0.0, 0.5]
 
 
 def test_refusals_are_one_sentence(tmp_path):

@@ -78,8 +78,8 @@ def test_compiled_rollouts_are_the_steps(simulator):
 def test_threads_change_nothing():
     model = compile_model(Build())
     commands = Gait().over(np.stack([HAND, HAND * 0.9]), np.arange(100) * 0.008)
-    found = [Physics(model, threads).walk(model, np.zeros((2, 3)), commands) for threads in (1, 2)]
-    np.testing.assert_array_equal(found[0], found[1])
+    out = [Physics(model, threads).walk(model, np.zeros((2, 3)), commands) for threads in (1, 2)]
+    np.testing.assert_array_equal(out[0], out[1])
 
 
 def test_every_parameter_matters(simulator):
@@ -200,13 +200,13 @@ def test_parameters_out_of_bounds_are_refused(simulator):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [({"timestep": 0.003}, r"must divide 0\.008 s evenly, not 0\.003 s"),
      ({"timestep": 0.016}, "must divide"), ({"timestep": 0.0}, "timestep: expected"),
      ({"iterations": 0}, "iterations: expected"), ({"cone": "round"}, "cone: expected one of")],
 )  # fmt: skip
-def test_physics_that_cannot_be_is_refused(change, said):
-    with pytest.raises(UserError, match=said):
+def test_physics_that_cannot_be_is_refused(change, message):
+    with pytest.raises(UserError, match=message):
         Build(**change)
 
 

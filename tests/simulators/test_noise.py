@@ -34,10 +34,10 @@ STILL = torch.zeros(1, 3, dtype=torch.float64)
 
 
 def commands(seed, rows):
-    drawn = np.random.default_rng(seed).uniform((-50, -50, 0.5), (50, 50, 3), (rows, 3))
-    drawn[0, :2] = 0.0
-    drawn[-1, 0] = 2.0  # within the dead band
-    return torch.from_numpy(drawn)
+    random = np.random.default_rng(seed).uniform((-50, -50, 0.5), (50, 50, 3), (rows, 3))
+    random[0, :2] = 0.0
+    random[-1, 0] = 2.0  # within the dead band
+    return torch.from_numpy(random)
 
 
 @settings(max_examples=20, deadline=None)
@@ -97,8 +97,8 @@ def test_draws_are_found_again_in_what_they_made(seed):
     z = normal(seed, 8, DRAWS)
     made = residual(mean, disturb(noise, columns, x, mean, z))
     lower = torch.linalg.cholesky(covariance(noise, columns, x, mean))
-    found = torch.linalg.solve_triangular(lower, made.unsqueeze(-1), upper=False)
-    assert torch.allclose(found.squeeze(-1), z[:, :3], atol=1e-8)
+    result = torch.linalg.solve_triangular(lower, made.unsqueeze(-1), upper=False)
+    assert torch.allclose(result.squeeze(-1), z[:, :3], atol=1e-8)
 
 
 def covariance(noise, columns, x, mean):
@@ -122,12 +122,12 @@ def test_larger_noise_has_a_larger_covariance(seed, factor):
 def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
     noise, columns = noise_model(seed, size), CommandFeatures.of(NAMES)
     x, mean = normal(seed, 1, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 1, 3)
-    found = covariance(noise, columns, x, mean)[0]
-    assert (torch.linalg.eigvalsh(found / found.diagonal().max()) > 0).all()
-    half = found.diagonal() / 2.0
-    rows = cholesky(found - torch.diag(half), half.unbind())
+    result = covariance(noise, columns, x, mean)[0]
+    assert (torch.linalg.eigvalsh(result / result.diagonal().max()) > 0).all()
+    half = result.diagonal() / 2.0
+    rows = cholesky(result - torch.diag(half), half.unbind())
     lower = torch.stack([torch.stack([*row, *[STILL[0, 0]] * (3 - len(row))]) for row in rows])
-    assert torch.allclose(lower, torch.linalg.cholesky(found))
+    assert torch.allclose(lower, torch.linalg.cholesky(result))
     # The map from draws to noise is linear at a fixed width; its rows are those of unit draws.
     small = 1e-4 / max(1.0, float(lower.abs().max()))
     unit = small * torch.eye(3, DRAWS, dtype=torch.float64)
@@ -148,7 +148,7 @@ def test_noise_of_the_motion_is_that_of_twists(seed):
     expected = torch.zeros(3, 3, dtype=torch.float64)
     for source in noise.sources:
         step = 1e-6 * (source @ commanded)
-        ends = [se2.exp(twist + way * step.roll(-1)) for way in (1.0, -1.0)]
+        ends = [se2.exp(twist + direction * step.roll(-1)) for direction in (1.0, -1.0)]
         moved = (residual(mean, ends[0]) - residual(mean, ends[1]))[0] / 2e-6
         expected += torch.outer(moved, moved)
     assert torch.allclose(in_motion(unit, noise.sources, mean)[0], expected, rtol=1e-5, atol=1e-9)
@@ -260,8 +260,8 @@ def test_a_noise_model_of_another_kind_is_refused(tmp_path):
     content = json.loads(path.read_text())
     content["noise"]["kind"] = "lasting-cholesky-lognormal"
     path.write_text(json.dumps(content))
-    said = r"'noise': is not a noise model.*train the simulator again"
-    with pytest.raises(FileError, match=said):
+    message = r"'noise': is not a noise model.*train the simulator again"
+    with pytest.raises(FileError, match=message):
         read_simulator(tmp_path)
 
 

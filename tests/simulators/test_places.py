@@ -58,17 +58,17 @@ def test_a_trial_is_in_the_arena_in_which_it_starts(many):
     genes = FAMILY.first(3, torch.Generator().manual_seed(0)).numpy()
     rollouts = many.rollouts(FAMILY, EPISODE)
     draws = rollouts.draw(starts, rng)
-    found = rollouts.run(genes, draws)
-    assert found.shape == (3, 12)
+    rolled_out = rollouts.run(genes, draws)
+    assert rolled_out.shape == (3, 12)
     for one, place in enumerate(where):
         local = starts[[one]] - (PITCH * place, 0.0, 0.0)
         alone = rollouts_of(many.places[place], FAMILY, EPISODE).run(
             genes, Draws(local, noise=draws.noise[[one]])
         )
-        assert found.readings[:, one] == pytest.approx(alone.readings[:, 0])
-        moved = found.poses[:, one] - (PITCH * place, 0.0, 0.0)
+        assert rolled_out.readings[:, one] == pytest.approx(alone.readings[:, 0])
+        moved = rolled_out.poses[:, one] - (PITCH * place, 0.0, 0.0)
         assert moved == pytest.approx(alone.poses[:, 0], abs=1e-9)
-        assert (many.touching(found.poses[:, one]) == many.places[place].touching(moved)).all()
+        assert (many.touching(rolled_out.poses[:, one]) == many.places[place].touching(moved)).all()
 
 
 def test_compiled_rollouts_are_those_of_the_steps(many):
@@ -78,9 +78,9 @@ def test_compiled_rollouts_are_those_of_the_steps(many):
     own = rollouts_of(many, FAMILY, EPISODE)
     draws = own.draw(starts, rng)
     stepped = rollouts_of(many, FAMILY, EPISODE, stepped=True).run(genes, draws)
-    found = own.run(genes, draws)
-    assert found.poses == pytest.approx(stepped.poses, abs=2e-4)
-    assert found.readings == pytest.approx(stepped.readings, abs=2e-3)
+    rolled_out = own.run(genes, draws)
+    assert rolled_out.poses == pytest.approx(stepped.poses, abs=2e-4)
+    assert rolled_out.readings == pytest.approx(stepped.readings, abs=2e-3)
 
 
 def test_a_contact_is_where_the_robot_was_held_up(tables):

@@ -112,9 +112,9 @@ def test_a_servo_is_no_faster_than_its_limit():
 
 
 def test_the_same_gait_goes_the_same_way_and_a_gait_goes_somewhere(simulator, task):
-    found = evaluate(simulator, task, GAIT)(np.stack([GENES, GENES]))
+    result = evaluate(simulator, task, GAIT)(np.stack([GENES, GENES]))
     again = evaluate(LeggedSimulator(QuadraTot()), task, GAIT)(GENES)
-    assert found[0] == found[1] == again
+    assert result[0] == result[1] == again
     assert 0.005 < again < 0.2
 
 

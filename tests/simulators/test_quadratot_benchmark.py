@@ -43,10 +43,10 @@ def test_the_noise_is_that_of_repeats_alone():
 def test_measures_by_hand():
     """Pixels are 1, 4, 9, and 1, 9, 4 are predicted: 0, 5 and 5 off."""
     trials = benchmark.Trials(np.zeros((3, 5)), np.arange(3), np.array([1.0, 2.0, 3.0]))
-    found = benchmark.measures(np.array([1.0, 3.0, 2.0]), trials, (2.0, 0.5))
-    assert found["rank"] == pytest.approx(0.5)
-    assert found["pixels"] == pytest.approx(np.sqrt(50 / 3) / 2)
-    assert found["roots"] == pytest.approx(np.sqrt(2 / 3) / 0.5)
+    result = benchmark.measures(np.array([1.0, 3.0, 2.0]), trials, (2.0, 0.5))
+    assert result["rank"] == pytest.approx(0.5)
+    assert result["pixels"] == pytest.approx(np.sqrt(50 / 3) / 2)
+    assert result["roots"] == pytest.approx(np.sqrt(2 / 3) / 0.5)
 
 
 def test_the_fitness_is_the_root_of_the_displacement_in_pixels():
@@ -78,13 +78,13 @@ def test_a_record_that_is_not_there_is_said(tmp_path):
 def test_l3_brings_the_simulator_closer_to_the_trials_that_it_compares(few):
     pytest.importorskip("cma", reason="pip install 'neurosim[cma]'")
     simulated = few.simulated
-    found = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
+    result = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
     again = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
-    np.testing.assert_array_equal(found, again)
-    assert ((found >= 0) & (found <= 1)).all()
+    np.testing.assert_array_equal(result, again)
+    assert ((result >= 0) & (result <= 1)).all()
     apart = [
         np.linalg.norm(benchmark.predicted(simulated, few.trials, one) - few.trials.roots)
-        for one in (simulated.as_is, found)
+        for one in (simulated.as_is, result)
     ]
     assert apart[1] < 0.95 * apart[0]
 
@@ -95,8 +95,8 @@ def test_a_process_joined_with_a_perfect_simulator_is_that_simulator():
     genes, at = rng.uniform(size=(15, 5)), rng.uniform(size=(8, 5))
     truth = lambda given: 3.0 + 2.0 * np.sin(9.0 * given[:, 0])  # noqa: E731
     mean, mean_at = (0.5 * truth(one) - 1.0 for one in (genes, at))
-    found = benchmark.joined(mean, mean_at, genes, truth(genes), at)
-    np.testing.assert_allclose(found, truth(at), atol=1e-6)
+    result = benchmark.joined(mean, mean_at, genes, truth(genes), at)
+    np.testing.assert_allclose(result, truth(at), atol=1e-6)
     near = benchmark.process(genes, genes[:, 1], genes)
     np.testing.assert_allclose(near, genes[:, 1], atol=0.1)
 
@@ -105,13 +105,13 @@ def test_a_process_joined_with_a_perfect_simulator_is_that_simulator():
 def test_a_seed_says_what_every_method_makes_of_the_others(few):
     for package in ("sklearn", "cma"):
         pytest.importorskip(package)
-    row = benchmark.one_seed(few, seed=1, drawn=6, generations=1)
+    row = benchmark.one_seed(few, seed=1, sampled=6, generations=1)
     assert set(row["held out"]) == set(benchmark.METHODS)
-    assert row["held out"]["mean of the drawn trials"]["rank"] is None
-    before, after = (row["drawn ones"][name]["roots"] for name in ("as it is", "adapted"))
+    assert row["held out"]["mean of the sampled trials"]["rank"] is None
+    before, after = (row["sampled ones"][name]["roots"] for name in ("as it is", "adapted"))
     assert after <= before
     assert list(row["parameters"]) == [one.name for one in few.simulated.parameters]
-    without = benchmark.one_seed(few, seed=1, drawn=6, generations=0)
+    without = benchmark.one_seed(few, seed=1, sampled=6, generations=0)
     assert "simulator adapted" not in without["held out"]
     same = "Gaussian process"
     assert without["held out"][same] == row["held out"][same]

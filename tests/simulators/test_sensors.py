@@ -39,9 +39,9 @@ def sensors(maps=2):
 
 
 def simulator(**form):
-    found = random_motion_network(**form)
-    found.sensors = sensors()
-    return found
+    result = random_motion_network(**form)
+    result.sensors = sensors()
+    return result
 
 
 def test_readings_by_hand():
@@ -74,10 +74,10 @@ def test_networks_drive_by_readings_as_stepped(kind, rest, noise):
     episode = Episode(0.4, 15, rest)
     draws = sim.rollouts(family, episode).draw(STARTS, 3, PLACING)
     assert draws.noise.shape == (6, 15 + (rest > 0), DRAWS + 3)
-    found, expected = both(sim, family, episode, draws)
-    assert_alike(found, expected, 1e-9, 1e-6, 1e-6)
-    assert found.readings.shape == (4, 6, 15 + (rest > 0), 3)
-    assert found.readings.std() > 0.05
+    result, expected = both(sim, family, episode, draws)
+    assert_alike(result, expected, 1e-9, 1e-6, 1e-6)
+    assert result.readings.shape == (4, 6, 15 + (rest > 0), 3)
+    assert result.readings.std() > 0.05
     assert_reused(sim, family, episode, draws)
 
 
@@ -88,9 +88,9 @@ def test_readings_that_nobody_needs_are_not_kept_and_change_nothing():
     more = sensing.rollouts(family, episode).draw(STARTS, 3)
     more = type(more)(more.starts, draws.member, np.pad(draws.noise, ((0, 0), (0, 0), (0, 3))))
     genes = np.random.default_rng(0).normal(size=(3, family.genes))
-    found = sensing.rollouts(family, episode).run(genes, more)
-    assert found.readings is None
-    assert np.array_equal(found.poses, plain.rollouts(family, episode).run(genes, draws).poses)
+    rolled_out = sensing.rollouts(family, episode).run(genes, more)
+    assert rolled_out.readings is None
+    assert np.array_equal(rolled_out.poses, plain.rollouts(family, episode).run(genes, draws).poses)
 
 
 def test_tasks_that_need_readings_of_plans_get_them():
@@ -98,9 +98,9 @@ def test_tasks_that_need_readings_of_plans_get_them():
     episode = Episode(0.4, 3, 0.5, readings=True)
     genes = np.full((2, plan.genes), 0.6)
     draws = SteppedRollouts(sim, plan, episode).draw(STARTS, 0)
-    found, expected = both(sim, plan, episode, draws, genes)
-    assert found.readings.shape == (2, 6, 4, 3)
-    assert_alike(found, expected, 1e-9, 1e-6, 1e-6)
+    result, expected = both(sim, plan, episode, draws, genes)
+    assert result.readings.shape == (2, 6, 4, 3)
+    assert_alike(result, expected, 1e-9, 1e-6, 1e-6)
     assert sim.rollouts(plan, Episode(0.4, 3, 0.5)).run(genes, draws).readings is None
 
 
@@ -124,21 +124,21 @@ def test_compiled_readings_are_the_simulators_own():
 def test_noise_is_as_wide_as_it_says():
     sim = simulator()
     state = sim.start(torch.zeros(20_000, 3))
-    drawn = sim.sense(state, torch.Generator().manual_seed(1))
+    sampled = sim.sense(state, torch.Generator().manual_seed(1))
     mean = sim.sense(state[:1])
-    assert drawn.mean(0) - mean[0] == pytest.approx([0, 0, 0], abs=1e-3)
+    assert sampled.mean(0) - mean[0] == pytest.approx([0, 0, 0], abs=1e-3)
     again = sim.sensors.read(state[:1, :3], torch.ones(1, 3).double()) - mean
-    assert drawn.std(0).tolist() == pytest.approx(again[0].tolist(), rel=0.03)
+    assert sampled.std(0).tolist() == pytest.approx(again[0].tolist(), rel=0.03)
 
 
 def test_files_keep_sensors(tmp_path):
     sim = simulator()
     write_motion(sim, tmp_path)
-    found = read_simulator(tmp_path)
-    assert found.reading_names == ("line_left", "line_right", "nose")
-    assert found.sensors.cell == 0.1
+    read = read_simulator(tmp_path)
+    assert read.reading_names == ("line_left", "line_right", "nose")
+    assert read.sensors.cell == 0.1
     for name in TENSORS:
-        assert torch.equal(getattr(found.sensors, name), getattr(sim.sensors, name))
+        assert torch.equal(getattr(read.sensors, name), getattr(sim.sensors, name))
     plain = tmp_path / "plain"
     plain.mkdir()
     write_motion(random_motion_network(), plain)
@@ -167,7 +167,7 @@ def test_damaged_sensors_are_refused(tmp_path, change, words):
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("message", "words"),
     [
         ({"names": ["a", "a", "b"], "cell": 0.1}, "names that differ"),
         ({"names": ["time", "a", "b"], "cell": 0.1}, "not the name of a sensor"),
@@ -175,10 +175,10 @@ def test_damaged_sensors_are_refused(tmp_path, change, words):
         ({"names": "abc", "cell": 0.1}, "names"),
     ],
 )
-def test_what_is_said_of_sensors_is_checked(tmp_path, said, words):
+def test_what_is_said_of_sensors_is_checked(tmp_path, message, words):
     write_motion(simulator(), tmp_path)
     path = tmp_path / "simulator.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"sensors": said}))
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"sensors": message}))
     with pytest.raises(FileError, match=words):
         read_simulator(tmp_path)
 

@@ -58,8 +58,8 @@ def test_noise_of_tables_is_that_of_their_rollouts():
     expanded = simulator.noise_of(seeds, 5)
     stepper = simulator.stepper()
     for step in range(5):
-        drawn = stepper.noise(seeds, np.full(2, step))
-        np.testing.assert_allclose(drawn, expanded[:, step], atol=1e-6)
+        sampled = stepper.noise(seeds, np.full(2, step))
+        np.testing.assert_allclose(sampled, expanded[:, step], atol=1e-6)
 
 
 def test_numbers_of_motion_networks_are_standard_normal():

@@ -49,10 +49,10 @@ def test_readings_at_samples_and_between_them(simulator):
     # The robot 20 mm from the right wall of a wide arena, turned left by 30 degrees of it.
     sim, table = simulator.changed(place=Place.rectangle(2, 2)), simulator.sensors
     at = 1 - 0.0275 - 0.020
-    found = sim.sense(tensor([at, 0, 0], [at, 0, math.radians(30)], [at, 0, 2 * math.pi]))
-    assert found[0].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
-    assert found[1].numpy() == pytest.approx(table.mean[0, 3, 3], abs=1e-6)
-    assert found[2].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
+    result = sim.sense(tensor([at, 0, 0], [at, 0, math.radians(30)], [at, 0, 2 * math.pi]))
+    assert result[0].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
+    assert result[1].numpy() == pytest.approx(table.mean[0, 3, 3], abs=1e-6)
+    assert result[2].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
     # A quarter between two distances, and half way between the last angle and the first.
     between = sim.sense(tensor([at - 0.00125, 0, math.radians(-5)]))[0].numpy()
     corners = table.mean[0, 3:5][:, [35, 0]]
@@ -126,11 +126,13 @@ def lit(looks, start, end, pieces=40_000):
     """Return the light [S] of a surface for sensors on the rim at the origin: of its pieces."""
     along = (end - start) / np.linalg.norm(end - start)
     # Pieces that are seen under about the same angle, however long it is.
-    way = (start - RADIUS * looks) @ along
+    distance = (start - RADIUS * looks) @ along
     height = (start - RADIUS * looks) @ [along[1], -along[0]]
     total = np.zeros(len(looks))
     for s in np.flatnonzero(height > 1e-4):
-        first, last = np.arctan2([way[s], way[s] + np.linalg.norm(end - start)], height[s])
+        first, last = np.arctan2(
+            [distance[s], distance[s] + np.linalg.norm(end - start)], height[s]
+        )
         angle = first + (last - first) * (np.arange(pieces) + 0.5) / pieces
         to = height[s] / np.cos(angle)
         cos = (looks[s] @ [along[1], -along[0]]) * np.cos(angle) + (looks[s] @ along) * np.sin(
@@ -185,41 +187,41 @@ def test_a_wall_hides_what_is_behind_it(simulator):
     pose = tensor([-0.02, 0, 0], [-0.02, 0.01, 0.3])
     without, behind = (simulator.changed(place=a).sense(pose) for a in (thin, with_obstacle))
     assert torch.equal(without, behind)
-    beside = simulator.changed(place=with_obstacle).sense(tensor([0.09, 0, math.pi]))
-    assert beside[0, 2] > 0.05
+    neighbour = simulator.changed(place=with_obstacle).sense(tensor([0.09, 0, math.pi]))
+    assert neighbour[0, 2] > 0.05
 
 
 def test_motion(simulator):
     sim = simulator.changed(place=Place.rectangle(4, 4))
-    found = sim.step(
+    result = sim.step(
         standing([0, 0, 0], [0, 0, math.pi / 2], [0, 0, 0], [0, 0, 0]),
         tensor([100, 100, 1], [50, 50, 2], [-30, 30, 0.5], [44, 44, 1]),
     )
-    assert found[0, :3].tolist() == pytest.approx([0.1, 0, 0])
-    assert found[1, :3].tolist() == pytest.approx([0, 0.1, math.pi / 2])
-    assert found[2, :3].tolist() == pytest.approx([0, 0, 0.06 / 0.053 * 0.5])
-    assert found[3, 0] == pytest.approx(0.04)  # 44 % is 4 of the robot's 10 units
+    assert result[0, :3].tolist() == pytest.approx([0.1, 0, 0])
+    assert result[1, :3].tolist() == pytest.approx([0, 0.1, math.pi / 2])
+    assert result[2, :3].tolist() == pytest.approx([0, 0, 0.06 / 0.053 * 0.5])
+    assert result[3, 0] == pytest.approx(0.04)  # 44 % is 4 of the robot's 10 units
 
 
 def test_collisions(simulator):
     sim = simulator.changed(place=Place.rectangle(1, 1, [(0, 0, 0.05)]))
-    found = sim.step(
+    result = sim.step(
         standing([0.4, 0.2, 0], [0.4, 0.2, math.pi / 4], [-0.1, 0, 0], [0.4, 0.2, 0]),
         tensor([100, 100, 3], [100, 100, 2], [100, 100, 1], [100, -100, 1]),
     )
-    assert found[0, 0] == pytest.approx(0.5 - 0.0275)
-    assert found[1, :2].tolist() == pytest.approx([0.4725, 0.2 + 0.2 * math.sqrt(0.5)], abs=1e-9)
-    assert found[2, 0] == pytest.approx(-0.0775)
-    assert found[3, :3].tolist() == pytest.approx([0.4, 0.2, -0.2 / 0.053])
+    assert result[0, 0] == pytest.approx(0.5 - 0.0275)
+    assert result[1, :2].tolist() == pytest.approx([0.4725, 0.2 + 0.2 * math.sqrt(0.5)], abs=1e-9)
+    assert result[2, 0] == pytest.approx(-0.0775)
+    assert result[3, :3].tolist() == pytest.approx([0.4, 0.2, -0.2 / 0.053])
 
 
 def test_a_gap_that_is_too_narrow_holds_the_robot(simulator):
     gap = Place(Place.rectangle(1, 1).outline, ((0, 0.027, 0, 0.5), (0, -0.5, 0, -0.027)))
-    found = simulator.changed(place=gap).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
-    assert -0.03 < found[0, 0] < 0
+    result = simulator.changed(place=gap).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
+    assert -0.03 < result[0, 0] < 0
     wider = Place(gap.outline, ((0, 0.028, 0, 0.5), (0, -0.5, 0, -0.028)))
-    found = simulator.changed(place=wider).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
-    assert found[0, 0] == pytest.approx(0.2)
+    result = simulator.changed(place=wider).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
+    assert result[0, 0] == pytest.approx(0.2)
 
 
 def test_a_late_robot(simulator):
@@ -258,8 +260,8 @@ def test_no_such_reaction():
 def driven(sim, genes, starts, seeds, steps, duration):
     drives = sim.rollouts(Network(sim.reading_names), Episode(duration, steps))
     noise = None if seeds is None else sim.noise_of(seeds, steps)
-    found = drives.run(genes, Draws(starts, noise=noise))
-    return found.poses, found.readings, found.commands
+    result = drives.run(genes, Draws(starts, noise=noise))
+    return result.poses, result.readings, result.commands
 
 
 @pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
@@ -293,14 +295,14 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     sim = simulator.changed(noise=noise, motors=motors, place=Place.rectangle(2, 2))
     pose = tensor([0.955, 0.1, 0.2]).expand(20_000, 3)
     generator = torch.Generator().manual_seed(0)
-    mean, drawn = sim.sense(pose), sim.sense(pose, generator)
+    mean, sampled = sim.sense(pose), sim.sense(pose, generator)
     command = tensor([50, 30, 0.1]).expand(20_000, 3)
     moved = sim.step(sim.start(pose), command, generator)
     genes = np.zeros((1, 18))
     genes[0, [8, 17]] = np.arctanh([0.5, 0.3])
     starts, seeds = pose.numpy(), np.arange(20_000).astype(np.uint64) * 7919
     poses, readings, _ = driven(sim, genes, starts, seeds, 1, 0.1)
-    for values in (drawn.numpy(), readings[0, :, 0]):
+    for values in (sampled.numpy(), readings[0, :, 0]):
         off = (values - mean.numpy())[:, 2:4]
         assert np.abs(off.mean(0)).max() < 0.002
         if noise == "uniform":
@@ -314,7 +316,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     for values in (straight, compiled):
         assert values.std() == pytest.approx(turn, rel=0.03)
         assert values.mean() == pytest.approx(-0.02 / 0.053 * 0.1, rel=0.02)
-    assert drawn.std(0)[2:4].numpy() == pytest.approx(readings[0, :, 0].std(0)[2:4], rel=0.05)
+    assert sampled.std(0)[2:4].numpy() == pytest.approx(readings[0, :, 0].std(0)[2:4], rel=0.05)
 
 
 def test_same_seed_same_numbers(simulator):
@@ -398,9 +400,9 @@ def test_a_start_in_something_solid_is_no_start(simulator):
 def test_where_its_sensors_look_is_in_its_tables():
     simulator = TableSimulator(made_up())
     assert simulator.bearings == pytest.approx(BEARINGS, abs=1e-6)
-    blind = simulator.sensors.mean.copy()
-    blind[..., 3] = 0.25
-    simulator = TableSimulator(replace(simulator.sensors, mean=blind))
+    open_loop = simulator.sensors.mean.copy()
+    open_loop[..., 3] = 0.25
+    simulator = TableSimulator(replace(simulator.sensors, mean=open_loop))
     assert np.isnan(simulator.bearings[3])
     assert np.isfinite(np.delete(simulator.bearings, 3)).all()
 

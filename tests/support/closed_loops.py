@@ -41,20 +41,20 @@ def both(simulator, family, episode, draws, genes=None):
     return compiled.run(genes, draws), stepped.run(genes, draws)
 
 
-def assert_alike(found, expected, metres, percent, readings=1e-5):
+def assert_alike(result, expected, metres, percent, readings=1e-5):
     """Hold a trajectory to another, within tolerances."""
-    assert found.poses.shape == expected.poses.shape
-    assert np.abs(found.poses - expected.poses).max() < metres
-    assert found.commands.shape == expected.commands.shape
-    assert np.abs(found.commands - expected.commands).max() < percent
-    assert np.array_equal(*np.broadcast_arrays(found.durations, expected.durations))
-    assert (found.active is None) == (expected.active is None)
-    if found.active is not None:
-        assert np.array_equal(found.active, expected.active)
-    assert (found.readings is None) == (expected.readings is None)
-    if found.readings is not None:
-        assert found.readings.shape == expected.readings.shape
-        assert np.abs(found.readings - expected.readings).max() < readings
+    assert result.poses.shape == expected.poses.shape
+    assert np.abs(result.poses - expected.poses).max() < metres
+    assert result.commands.shape == expected.commands.shape
+    assert np.abs(result.commands - expected.commands).max() < percent
+    assert np.array_equal(*np.broadcast_arrays(result.durations, expected.durations))
+    assert (result.active is None) == (expected.active is None)
+    if result.active is not None:
+        assert np.array_equal(result.active, expected.active)
+    assert (result.readings is None) == (expected.readings is None)
+    if result.readings is not None:
+        assert result.readings.shape == expected.readings.shape
+        assert np.abs(result.readings - expected.readings).max() < readings
 
 
 def assert_reused(simulator, family, episode, draws):

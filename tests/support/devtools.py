@@ -20,12 +20,12 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 def find_browser() -> str:
     """Return the browser; skip where there is none, unless it is required."""
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    if found is None:
+    result = next((path for name in NAMES if (path := shutil.which(name))), None)
+    if result is None:
         if os.environ.get("NEUROSIM_BROWSER_REQUIRED"):
             pytest.fail("a browser is required here, and there is none")
         pytest.skip("no Chromium on this computer")
-    return found
+    return result
 
 
 class Tab:
@@ -122,8 +122,8 @@ def browser_tab(folder, size=(1280, 900)):
     try:
         port = None
         for line in process.stderr:
-            if found := re.search(r"DevTools listening on ws://[^:]+:(\d+)/", line):
-                port = found[1]
+            if match := re.search(r"DevTools listening on ws://[^:]+:(\d+)/", line):
+                port = match[1]
                 break
         assert port, "the browser did not start"
         with urlopen(f"http://127.0.0.1:{port}/json") as reply:

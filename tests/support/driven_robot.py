@@ -67,8 +67,8 @@ def drive_data(
 
     rows = torch.arange(count)
     of = rows.repeat_interleave(4)
-    share = torch.tensor([0.1, 0.2, 0.4, 0.7], dtype=torch.float64).repeat(count)
-    within = Within(of, share * time[of], moved(of, share * time[of]))
+    fraction = torch.tensor([0.1, 0.2, 0.4, 0.7], dtype=torch.float64).repeat(count)
+    within = Within(of, fraction * time[of], moved(of, fraction * time[of]))
     previous = torch.cat([torch.zeros(1, 2, dtype=torch.float64), u[:-1]])
     x = torch.cat([100 * previous, 100 * u, time[:, None]], 1)
     return TrainingData(INPUTS, x, moved(rows, time), within)

@@ -44,10 +44,10 @@ def random_plans(simulator: MotionNetwork, count, steps=8, seed=0, like=0.3):
     low = torch.where(torch.tensor([n == "duration" for n in simulator.command_names]), 0.1, 0.0)
     low = torch.maximum(ends[:, 0], torch.where(low > 0, low, ends[:, 0]))
     shape = (count, steps, len(ends))
-    drawn = torch.rand(shape, generator=generator, dtype=torch.float64)
+    random = torch.rand(shape, generator=generator, dtype=torch.float64)
     whole = torch.rand(shape[:2], generator=generator) < like
-    drawn = torch.where(whole[..., None], (10.0 * drawn).round().clamp(min=1.0) / 10.0, drawn)
-    return (low + drawn * (ends[:, 1] - low)).float().double()
+    random = torch.where(whole[..., None], (10.0 * random).round().clamp(min=1.0) / 10.0, random)
+    return (low + random * (ends[:, 1] - low)).float().double()
 
 
 def drive(step, state, commands, noise=None, parts=1):

@@ -41,7 +41,7 @@ def expected(rollouts, plans: GivenPlans, start) -> NDArray:
     return rollouts.run(plans.rows, Draws(np.array([start], float))).poses[:, 0]
 
 
-def drawn(rollouts, plans: GivenPlans, draws: Draws) -> NDArray:
+def sampled_poses(rollouts, plans: GivenPlans, draws: Draws) -> NDArray:
     """Return the poses [P, R, K + 2, 3] of plans through the same samples."""
     return rollouts.run(plans.rows, draws).poses
 

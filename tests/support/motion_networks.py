@@ -22,14 +22,14 @@ def normal(seed, *shape):
 
 def noise_model(seed=0, size=-4.0):
     """Return a noise model of about e^size metres and radians."""
-    drawn = {
+    sampled = {
         name: 0.2 * normal(seed + n, *shape)
         for n, (name, shape) in enumerate(NoiseModel.SHAPES.items())
     }
-    drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
-    drawn["log_scale"][:, 0] += size
-    drawn["sources"] *= 0.1
-    return NoiseModel(**drawn)
+    sampled["unit"] = torch.tensor([1.0, 0.2, 0.1])
+    sampled["log_scale"][:, 0] += size
+    sampled["sources"] *= 0.1
+    return NoiseModel(**sampled)
 
 
 def drive_model(seed=0, actuators=2, curved=True, **parts):
@@ -39,20 +39,20 @@ def drive_model(seed=0, actuators=2, curved=True, **parts):
     """
     shapes = DriveModel.shapes(actuators)
     names = "lag", "slowing", "braking", "rate", "curve", "stick", "delay", "kinematics"
-    drawn = {name: torch.tanh(normal(seed + k, *shapes[name])) for k, name in enumerate(names)}
+    sampled = {name: torch.tanh(normal(seed + k, *shapes[name])) for k, name in enumerate(names)}
     straight = torch.zeros(shapes["curve"], dtype=torch.float64)
     straight[:, 0] = -0.15 * torch.tanh(normal(seed + 4, actuators))
-    found = {
-        "lag": 0.12 + 0.08 * drawn["lag"],
-        "slowing": 1.0 + 0.4 * drawn["slowing"],
-        "braking": 0.8 + 0.4 * drawn["braking"],
-        "rate": 5.0 + 3.0 * drawn["rate"],
-        "stick": 0.02 + 0.02 * drawn["stick"],
-        "curve": 0.1 * drawn["curve"] if curved else straight,
-        "delay": 0.05 + 0.04 * drawn["delay"],
-        "kinematics": torch.tensor([0.15, 0.05, 1.0]) * drawn["kinematics"],
+    result = {
+        "lag": 0.12 + 0.08 * sampled["lag"],
+        "slowing": 1.0 + 0.4 * sampled["slowing"],
+        "braking": 0.8 + 0.4 * sampled["braking"],
+        "rate": 5.0 + 3.0 * sampled["rate"],
+        "stick": 0.02 + 0.02 * sampled["stick"],
+        "curve": 0.1 * sampled["curve"] if curved else straight,
+        "delay": 0.05 + 0.04 * sampled["delay"],
+        "kinematics": torch.tensor([0.15, 0.05, 1.0]) * sampled["kinematics"],
     }
-    return DriveModel(**(found | parts))
+    return DriveModel(**(result | parts))
 
 
 def kernel_units(seed, count, inputs, networks):

@@ -148,10 +148,12 @@ class Scanner(BaseBleakScanner):
 
     def _see(self):
         for hub in self.hubs:
-            said = AdvertisementData(hub.name, {}, {}, [SERVICE], 0, -50, ())
-            device = self.create_or_update_device(hub.address, hub.address, hub.name, hub, said)
-            if hub.client is None and self.is_allowed_uuid(said.service_uuids):
-                self.call_detection_callbacks(device, said)
+            advertisement = AdvertisementData(hub.name, {}, {}, [SERVICE], 0, -50, ())
+            device = self.create_or_update_device(
+                hub.address, hub.address, hub.name, hub, advertisement
+            )
+            if hub.client is None and self.is_allowed_uuid(advertisement.service_uuids):
+                self.call_detection_callbacks(device, advertisement)
 
 
 class _Client(BaseBleakClient):

@@ -55,6 +55,6 @@ class Page(HTMLParser):
 
     def table(self, first_head):
         """Return the rows of the table whose head begins with these words."""
-        (found,) = [rows for rows in self.tables
+        (result,) = [rows for rows in self.tables
                     if any(row[: len(first_head)] == first_head for row in rows[:2])]  # fmt: skip
-        return found
+        return result

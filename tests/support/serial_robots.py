@@ -56,8 +56,8 @@ class _Wheels:
 
     def feed(self, data):
         answers, self._rest = "", self._rest + data.decode("latin-1")
-        while (found := re.search(self.ends, self._rest)) is not None:
-            line, self._rest = self._rest[: found.start()], self._rest[found.end() :]
+        while (match := re.search(self.ends, self._rest)) is not None:
+            line, self._rest = self._rest[: match.start()], self._rest[match.end() :]
             if line:
                 self.heard.append(line)
                 answers += self.answer(line)
@@ -81,8 +81,8 @@ class EPuck2(_Wheels):
     def answer(self, line):
         letter = line[0] if line[0] in "bg" else line[0].upper()
         if letter == "D":
-            if found := re.match(r"D,(-?\d+),(-?\d+)", line):
-                self.drive(int(found[1]), int(found[2]))
+            if result := re.match(r"D,(-?\d+),(-?\d+)", line):
+                self.drive(int(result[1]), int(result[2]))
             return "d\r\n"
         if letter == "B":
             self.lamp = bool(int(line[2:]))

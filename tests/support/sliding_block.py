@@ -42,9 +42,9 @@ class Block(Simulator):
         return pose
 
     def step(self, state, command, generator=None):
-        way = (command[:, 0] / self.mass - self.friction).clamp(min=0.0)
+        distance = (command[:, 0] / self.mass - self.friction).clamp(min=0.0)
         side = 0.5 * (command[:, 1] - 0.3 * command[:, 0])
-        return state + torch.stack([way, side, torch.zeros_like(way)], dim=1)
+        return state + torch.stack([distance, side, torch.zeros_like(distance)], dim=1)
 
 
 class Push(Controller):
@@ -80,7 +80,7 @@ def reality_of(mass=2.0, friction=0.2):
 
     def fitness(genes):
         push, aside = np.asarray(genes, float)
-        way = 2.0 * max(push / mass - friction, 0.0)
-        return way - abs(2.0 * 0.5 * (aside - 0.3 * push))
+        distance = 2.0 * max(push / mass - friction, 0.0)
+        return distance - abs(2.0 * 0.5 * (aside - 0.3 * push))
 
     return fitness

@@ -10,7 +10,7 @@ from tensorboardX.proto.event_pb2 import Event
 
 def curves(folder):
     """Return {name: [(step, value)]} of the files in a folder, in their order."""
-    found = defaultdict(list)
+    results = defaultdict(list)
     for path in sorted(folder.glob("events.out.tfevents.*")):
         data, place = path.read_bytes(), 0
         while place < len(data):  # length, checksum, event, checksum
@@ -18,5 +18,5 @@ def curves(folder):
             event = Event.FromString(data[place + 12 : place + 12 + length])
             place += 16 + length
             for one in event.summary.value:
-                found[one.tag].append((event.step, one.simple_value))
-    return dict(found)
+                results[one.tag].append((event.step, one.simple_value))
+    return dict(results)

@@ -49,8 +49,8 @@ def paint_tag(image, tag, middle, heading, side, *, white=235.0):
     def cover(du, dv):
         up, right = cos * du - sin * dv, sin * du + cos * dv
         row, column = (
-            np.floor(way * len(tag.cells) / side + len(cells) / 2).astype(int)
-            for way in (-up, right)
+            np.floor(direction * len(tag.cells) / side + len(cells) / 2).astype(int)
+            for direction in (-up, right)
         )
         inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < len(cells))
         light = cells[np.clip(row, 0, len(cells) - 1), np.clip(column, 0, len(cells) - 1)]
@@ -63,8 +63,10 @@ def paint_tag(image, tag, middle, heading, side, *, white=235.0):
 
 def _disc(du, dv, radius, colour, fade, gain):
     distance = np.hypot(du, dv)
-    share = np.clip(distance / radius, 0, 1)[..., None] if fade else 1.0
-    return distance <= radius, gain * (share * np.asarray(colour, float) + (1 - share) * 255.0)
+    fraction = np.clip(distance / radius, 0, 1)[..., None] if fade else 1.0
+    return distance <= radius, gain * (
+        fraction * np.asarray(colour, float) + (1 - fraction) * 255.0
+    )
 
 
 def _paint(image, centre, reach, cover):
@@ -81,8 +83,8 @@ def _paint(image, centre, reach, cover):
     patch = inside[..., None] * np.broadcast_to(colour, (*inside.shape, 3))
     rows, columns = bottom - top, right - left
     patch = patch.reshape(rows, n, columns, n, 3).mean((1, 3))
-    share = inside.reshape(rows, n, columns, n).mean((1, 3))[..., None]
-    image[top:bottom, left:right] = image[top:bottom, left:right] * (1 - share) + patch
+    fraction = inside.reshape(rows, n, columns, n).mean((1, 3))[..., None]
+    image[top:bottom, left:right] = image[top:bottom, left:right] * (1 - fraction) + patch
 
 
 def robot(

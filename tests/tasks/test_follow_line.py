@@ -28,11 +28,11 @@ def judged(task, *poses):
 
 def test_laps_count_in_the_direction_in_which_it_was_put_down():
     task = FollowLine(**CIRCLE, laps=2)
-    found = judged(task, around(2.5), around(-2.5), around(1.5), around(2.5, radius=0.55))
-    assert found.fitness == pytest.approx([2.5, 2.5, 1.5, 2.5], abs=2e-3)
-    assert found.success.tolist() == [True, True, False, True]
-    assert found.reason.tolist() == [-1, -1, 1, -1]
-    assert found.detail["distance"] == pytest.approx([0, 0, 0, 0.05], abs=1e-3)
+    result = judged(task, around(2.5), around(-2.5), around(1.5), around(2.5, radius=0.55))
+    assert result.fitness == pytest.approx([2.5, 2.5, 1.5, 2.5], abs=2e-3)
+    assert result.success.tolist() == [True, True, False, True]
+    assert result.reason.tolist() == [-1, -1, 1, -1]
+    assert result.detail["distance"] == pytest.approx([0, 0, 0, 0.05], abs=1e-3)
     back = around(1.0)[::-1]  # it faces along the line and goes backwards
     assert judged(task, back).fitness == pytest.approx([-1.0], abs=2e-3)
 
@@ -45,11 +45,11 @@ def test_nothing_counts_once_the_line_is_lost():
     late[150:, :2] *= 1.2
     nowhere = around(2.0)
     nowhere[50:] = np.nan
-    found = judged(task, off, late, nowhere)
-    assert found.fitness == pytest.approx([0.49, 1.49, 0.49], abs=3e-3)
-    assert found.success.tolist() == [False, True, False]
-    assert found.reason[0] == found.reason[2] == 0
-    assert found.segment.tolist() == [49, 149, 49]
+    result = judged(task, off, late, nowhere)
+    assert result.fitness == pytest.approx([0.49, 1.49, 0.49], abs=3e-3)
+    assert result.success.tolist() == [False, True, False]
+    assert result.reason[0] == result.reason[2] == 0
+    assert result.segment.tolist() == [49, 149, 49]
     assert task.reasons[0] == "lost the line"
 
 

@@ -122,23 +122,23 @@ def test_evolution_learns_and_is_repeatable(tmp_path):
     sim = TableSimulator(made_up())
     task = ObstacleAvoidance(steps=250)
     how = {"generations": 40, "seed": 3, "progress": False}
-    (found,) = evolve(sim, task, out=tmp_path / "net", **how)
-    history = found.evolution["history"]
+    (evolved,) = evolve(sim, task, out=tmp_path / "net", **how)
+    history = evolved.evolution["history"]
     assert len(history["best"]) == len(history["mean"]) == 40
     first, last = np.mean(history["mean"][:3]), np.mean(history["mean"][-5:])
     assert last > 1.5 * first
-    assert found.predicted["fitness"] > 0.55 * task.steps
+    assert evolved.predicted["fitness"] > 0.55 * task.steps
     # Where the task needs sensors, the controller is a network of all that there are.
-    assert found.controller.inputs == FAMILY.inputs
-    assert found.genes.shape == (FAMILY.genes,)
+    assert evolved.controller.inputs == FAMILY.inputs
+    assert evolved.genes.shape == (FAMILY.genes,)
     (again,) = evolve(sim, task, "network", out=tmp_path / "again", **how)
-    assert (again.genes == found.genes).all()
+    assert (again.genes == evolved.genes).all()
     read = read_controller(tmp_path / "net")
-    assert read.controller == found.controller
-    assert (read.genes == found.genes).all()
+    assert read.controller == evolved.controller
+    assert (read.genes == evolved.genes).all()
     assert read.task == task.describe()
     with pytest.raises(UserError, match="not empty"):
-        found.write(tmp_path / "net")
+        evolved.write(tmp_path / "net")
 
 
 def test_every_parent_has_as_many_children():
@@ -161,8 +161,8 @@ def test_networks_driven_part_by_part_are_driven_alike():
     assert len(list(evaluator._parts(len(genes), len(draws)))) == 3
     judged, _ = evaluator.judge(genes, draws)
     at_once = judged.fitness.reshape(len(genes), 10, 5).sum(2).mean(1)
-    found, _ = evaluator.merit(genes, draws, "fitness")
-    assert (found.merit == at_once).all()
+    merit, _ = evaluator.merit(genes, draws, "fitness")
+    assert (merit.merit == at_once).all()
     steady, _ = evaluator.merit(genes, draws, "steady")
     few, _ = evaluator.merit(genes[-9:], draws, "steady")
     assert (steady.shown == at_once).all()
@@ -184,14 +184,14 @@ def test_of_two_that_are_as_fit_the_steadier_has_the_better_chances(monkeypatch)
                 np.full(len(record), worth), np.zeros(len(record), np.bool_)
             ),
         )
-        found, _ = evaluator.merit(genes, draws, "steady")
+        merit, _ = evaluator.merit(genes, draws, "steady")
         poses = evaluator.run(genes, draws).poses
-        assert (found.shown == 5 * fitness).all()
-        assert (found.merit <= found.shown).all()
+        assert (merit.shown == 5 * fitness).all()
+        assert (merit.merit <= merit.shown).all()
         between = (poses[:, :5] - poses[:, 5:])[..., :2]
         apart = np.median(np.linalg.norm(between, axis=-1), axis=(1, 2))
-        assert found.merit[apart.argmin()] > found.merit[apart.argmax()]
-        assert found.merit == pytest.approx(5 * fitness - 5 * np.minimum(apart / 0.2, 1.0))
+        assert merit.merit[apart.argmin()] > merit.merit[apart.argmax()]
+        assert merit.merit == pytest.approx(5 * fitness - 5 * np.minimum(apart / 0.2, 1.0))
     alone, _ = evaluator.merit(genes, draws, "fitness")
     assert (alone.shown == alone.merit).all()
 
@@ -220,10 +220,10 @@ def test_the_choice_is_not_the_lucky_one(monkeypatch):
     # In its generation the one that stands still had luck.
     evolution.stages[0].top[:] = 0.0
     evolution.stages[0].merit[:] = [[500.0, 0.0]]
-    (found,) = evolution.results(False)
-    assert (found.genes == Fixed.away).all()
-    assert found.predicted["fitness"] > 200
-    assert 0 < found.predicted["spread"] < found.predicted["fitness"]
+    (result,) = evolution.results(False)
+    assert (result.genes == Fixed.away).all()
+    assert result.predicted["fitness"] > 200
+    assert 0 < result.predicted["spread"] < result.predicted["fitness"]
 
 
 def test_a_plan_runs_in_tables_as_in_any_simulator():
@@ -238,13 +238,13 @@ def test_a_plan_runs_in_tables_as_in_any_simulator():
 def test_obstacle_avoidance_in_the_samples_of_a_real_robot(shared_data):
     files = sorted((shared_data / "khepera").glob("*.sample"))
     sim = TableSimulator(SensorTable.from_files(files))
-    (found,) = evolve(sim, ObstacleAvoidance(), generations=40, seed=0, progress=False)
-    assert found.evolution["history"]["mean"][0] < 150
-    assert found.predicted["fitness"] > 300
+    (evolved,) = evolve(sim, ObstacleAvoidance(), generations=40, seed=0, progress=False)
+    assert evolved.evolution["history"]["mean"][0] < 150
+    assert evolved.predicted["fitness"] > 300
     # It keeps off: from most starts it never stands against anything for long.
     drives = rollouts_of(sim, FAMILY, Episode(0.1, 300, readings=True))
     starts = sim.place.free_poses(20, 0.0275, np.random.default_rng(5))
-    driven = drives.run(found.genes[None], drives.draw(starts, np.random.default_rng(6)))
+    driven = drives.run(evolved.genes[None], drives.draw(starts, np.random.default_rng(6)))
     touching = sim.place.clearance(driven.poses[0, :, :, :2]) < 0.0275 + 1e-4
     assert np.median(touching.mean(axis=1)) < 0.05
     assert np.median(cells_visited(driven)[0]) > 15

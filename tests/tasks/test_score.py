@@ -44,10 +44,10 @@ def drives(task, count, steps, rng):
     if task.episode.goals is not None:
         places = np.vstack([task.start, task.episode.goals])
         for row in range(0, count, 2):
-            share = rng.uniform(0.8, 1.6) * np.linspace(0, len(places) - 1, steps + 1)
+            fraction = rng.uniform(0.8, 1.6) * np.linspace(0, len(places) - 1, steps + 1)
             for column in range(3):
-                way = np.interp(share, np.arange(len(places)), places[:, column])
-                poses[row, :, column] = way + np.append(0, rng.normal(0, 0.02, steps))
+                distance = np.interp(fraction, np.arange(len(places)), places[:, column])
+                poses[row, :, column] = distance + np.append(0, rng.normal(0, 0.02, steps))
     poses[-1, -5:] = np.nan
     return poses
 

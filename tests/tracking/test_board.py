@@ -28,28 +28,28 @@ def clicked(model):
 @pytest.mark.parametrize("tilt", [0.0, 0.2])
 def test_four_corners_and_the_height_give_the_camera(tilt):
     true = camera(tilt)
-    found = camera_over_board((640, 480), clicked(true), height=2.6)
-    assert found.camera_matrix[0, 0] == pytest.approx(560, rel=1e-3 if tilt else 1e-6)
+    model = camera_over_board((640, 480), clicked(true), height=2.6)
+    assert model.camera_matrix[0, 0] == pytest.approx(560, rel=1e-3 if tilt else 1e-6)
     marks = np.array([[1.2, 0.8, 0.1], [-1.2, -0.3, 0.1], [0.0, 0.0, 0.1]])
-    board = found.to_board(true.to_pixels(marks), 0.1)
+    board = model.to_board(true.to_pixels(marks), 0.1)
     assert np.abs(board - marks[:, :2]).max() < 1e-3
 
 
 def test_without_the_height_what_lies_on_the_board_is_right_all_the_same():
     true = camera()
-    found = camera_over_board((640, 480), clicked(true))
+    model = camera_over_board((640, 480), clicked(true))
     flat = np.array([[1.2, 0.8, 0.0], [-1.2, -0.3, 0.0]])
-    assert np.abs(found.to_board(true.to_pixels(flat)) - flat[:, :2]).max() < 1e-4
+    assert np.abs(model.to_board(true.to_pixels(flat)) - flat[:, :2]).max() < 1e-4
     raised = flat + np.array([0, 0, 0.1])
     # 576 in place of 560: 3 % of the height's 10 cm at the edge, seen from 2.6 m.
-    assert np.abs(found.to_board(true.to_pixels(raised), 0.1) - raised[:, :2]).max() < 2.5e-3
+    assert np.abs(model.to_board(true.to_pixels(raised), 0.1) - raised[:, :2]).max() < 2.5e-3
 
 
 def test_a_lens_that_is_known_is_used():
     true = camera(0.1)
     lens = CameraModel((640, 480), true.camera_matrix, true.distortion)
-    found = camera_over_board((640, 480), clicked(true), lens)
-    assert np.allclose(found.position, true.position, atol=1e-4)
+    model = camera_over_board((640, 480), clicked(true), lens)
+    assert np.allclose(model.position, true.position, atol=1e-4)
     with pytest.raises(UserError, match="320x240"):
         camera_over_board((320, 240), clicked(true), lens)
 
@@ -78,11 +78,11 @@ def test_what_is_stated_covers_usual_lenses(height):
         pixels = true.to_pixels(np.column_stack([board, np.zeros(4)]))
         pixels += rng.normal(0, 0.3, (4, 2))
         known = None if height is None else place[2] * rng.normal(1, 0.02)
-        found = camera_over_board((640, 480), np.column_stack([pixels, board]), height=known)
+        model = camera_over_board((640, 480), np.column_stack([pixels, board]), height=known)
         spots = rng.uniform(-1, 1, (40, 2)) * board.max(axis=0)
         seen = true.to_pixels(np.column_stack([spots, np.full(40, 0.1)]))
-        miss = np.sqrt(((found.to_board(seen, 0.1) - spots) ** 2).sum(-1).mean())
-        ratios.append(miss / found.uncertainty["board_m"])
+        miss = np.sqrt(((model.to_board(seen, 0.1) - spots) ** 2).sum(-1).mean())
+        ratios.append(miss / model.uncertainty["board_m"])
     assert np.mean(np.array(ratios) < 2) >= 0.85
     # Not by stating too much.
     assert np.sqrt(np.mean(np.square(ratios))) > 0.5

@@ -212,12 +212,12 @@ def test_the_stated_uncertainty_covers_random_halves(shared_data):
     model = fit(views, (640, 512))
     stated = _uncertainty(model, *_resampled(views, (640, 512)), None)
     rng = np.random.default_rng(1)
-    found = [
+    result = [
         _lens_numbers(fit([views[i] for i in half], (640, 512)))
         for _ in range(60)
         for half in np.array_split(rng.permutation(len(views)), 2)
     ]
-    off = (np.array(found) - _lens_numbers(model))[:, :4]
+    off = (np.array(result) - _lens_numbers(model))[:, :4]
     claimed = np.array([stated[name] for name in ("fx", "fy", "cx", "cy")])
     ratios = claimed / np.sqrt((off**2).mean(0))
     # Leaving out one after the other states 0.88 of the scatter; 120 halves know it to 7 %.
@@ -297,9 +297,9 @@ def test_what_is_left_out_is_said_and_three_photographs_are_too_few(shared_data,
     assert "px off and left out" in first
     assert "3 photographs are too few" in second
     assert "standard deviations" not in done.stdout
-    told = json.loads((tmp_path / "c.json").read_text())["left_out"]
-    assert len(told) == 1
-    assert np.hypot(told[0]["u"] - u, told[0]["v"] - v) < 6
+    content = json.loads((tmp_path / "c.json").read_text())["left_out"]
+    assert len(content) == 1
+    assert np.hypot(content[0]["u"] - u, content[0]["v"] - v) < 6
 
 
 def test_a_charuco_board_of_which_parts_are_seen(tmp_path):

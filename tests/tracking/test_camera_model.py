@@ -137,5 +137,5 @@ def test_pixels_without_distortion():
     camera = looking_down()
     straight = replace(camera, distortion=np.zeros(5))
     points = np.random.default_rng(0).uniform(-0.9, 0.9, (30, 3)) * (1, 1, 0)
-    found = camera.straighten(camera.to_pixels(points))
-    np.testing.assert_allclose(found, straight.to_pixels(points), atol=1e-6)
+    result = camera.straighten(camera.to_pixels(points))
+    np.testing.assert_allclose(result, straight.to_pixels(points), atol=1e-6)

@@ -121,8 +121,8 @@ def test_delimiters_remarks_and_byte_order_marks(tmp_path, delimiter):
         del others["quoted"]
     for name, content in others.items():
         path.write_bytes(content)
-        found = import_csv(path, tmp_path / name).output_array()
-        assert (found == expected).all(), name
+        result = import_csv(path, tmp_path / name).output_array()
+        assert (result == expected).all(), name
 
 
 def test_a_log_gives_the_rows_that_the_same_robots_utias_files_give(shared_data, tmp_path):

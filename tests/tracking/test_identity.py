@@ -50,16 +50,16 @@ def test_how_far_a_robot_can_have_come(lost_for, moved, speed, certain):
     before = driving(40, speed=speed)
     u, v = before[-1]
     places = before + [None] * lost_for + driving(20, (u + moved, v))
-    found = doubtful(*track_of(places))
-    assert not found[: 40 + lost_for].any()
-    assert (found[40 + lost_for :] == (not certain)).all()
+    doubtful_rows = doubtful(*track_of(places))
+    assert not doubtful_rows[: 40 + lost_for].any()
+    assert (doubtful_rows[40 + lost_for :] == (not certain)).all()
 
 
 def test_what_is_found_elsewhere_stays_doubtful_until_it_is_back():
     home, away = driving(30), driving(30, (300.0, 300.0))
     places = home + [None] * 90 + away + [None] * 3 + away + home + [None] * 90 + home
-    found = doubtful(*track_of(places))
-    assert found.tolist() == [False] * 120 + [True] * 63 + [False] * 150
+    doubtful_rows = doubtful(*track_of(places))
+    assert doubtful_rows.tolist() == [False] * 120 + [True] * 63 + [False] * 150
 
 
 def test_nothing_and_one_sight_are_not_doubtful():
@@ -81,13 +81,13 @@ def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
         seen = tracker.update(frame, i / FPS)
         rows.append((i / FPS, *seen.front, *seen.rear))
     time, front, rear = (np.array(rows)[:, part] for part in (0, slice(1, 3), slice(3, 5)))
-    middle, found = (front + rear) / 2, np.isfinite(front[:, 0])
+    middle, result = (front + rear) / 2, np.isfinite(front[:, 0])
     false = np.hypot(*(middle - middle[0]).T) > 5
     doubt = doubtful(time, front, rear)
     assert not (false & ~doubt).any()
-    assert not (found & ~false & doubt).any()
+    assert not (result & ~false & doubt).any()
     # The one that is where the robot was lost is it, as soon as it is seen.
-    assert (found & ~false)[back_at + 4 :].all()
+    assert (result & ~false)[back_at + 4 :].all()
 
 
 def test_a_twin_is_said_and_marked_by_the_command(tmp_path):
@@ -105,9 +105,9 @@ def test_a_twin_is_said_and_marked_by_the_command(tmp_path):
     done = CliRunner().invoke(command, [str(path), "-o", str(tmp_path / "poses")])
     assert done.exit_code == 0, done.exception
     table = read_csv(tmp_path / "poses" / "poses.csv", {"doubtful": flag, "quality": number})
-    found = np.array(table["quality"]) > 0
-    assert found[110:].all()
-    assert table["doubtful"].tolist() == (found & (np.arange(130) >= 105)).tolist()
+    result = np.array(table["quality"]) > 0
+    assert result[110:].all()
+    assert table["doubtful"].tolist() == (result & (np.arange(130) >= 105)).tolist()
     count = sum(table["doubtful"])
     assert f"{count} poses may be of another pair" in done.stderr
     assert json.loads((tmp_path / "poses" / "tracking.json").read_text())["doubtful"] == count

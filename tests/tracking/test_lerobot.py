@@ -53,10 +53,10 @@ def exported(recordings, tmp_path_factory):
 
 
 def test_the_layout_is_that_of_the_format(exported):
-    out, said = exported
-    found = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    out, warnings = exported
+    result = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
     camera = "videos/observation.images.camera/chunk-000"
-    assert found == sorted([
+    assert result == sorted([
         "data/chunk-000/file-000.parquet", "data/chunk-000/file-001.parquet",
         f"{camera}/file-000.mp4", f"{camera}/file-001.mp4", "meta/info.json", "meta/stats.json",
         "meta/tasks.parquet", "meta/episodes/chunk-000/file-000.parquet",
@@ -64,8 +64,8 @@ def test_the_layout_is_that_of_the_format(exported):
     info = json.loads((out / "meta" / "info.json").read_text())
     assert info["codebase_version"] == "v3.0"
     assert (info["total_episodes"], info["total_tasks"], info["splits"]) == (2, 1, {"train": "0:2"})
-    assert (info["fps"], info["total_frames"]) == (said["fps"], said["frames"])
-    assert info["data_path"].format(chunk_index=0, file_index=1) == found[1]
+    assert (info["fps"], info["total_frames"]) == (warnings["fps"], warnings["frames"])
+    assert info["data_path"].format(chunk_index=0, file_index=1) == result[1]
     features = info["features"]
     assert list(features) == [
         "action", "observation.state", "observation.quality", "observation.images.camera",
@@ -131,7 +131,7 @@ def test_episodes_say_where_their_rows_and_frames_are(exported):
 
 
 def test_actions_poses_and_pictures_are_the_recordings(recordings, exported):
-    out, said = exported
+    out, warnings = exported
     recording = Recording(recordings[1])
     table = pd.read_parquet(out / "data/chunk-000/file-001.parquet")
     lines = [line for line in recording.commands().itertuples() if line.is_motor]
@@ -145,14 +145,14 @@ def test_actions_poses_and_pictures_are_the_recordings(recordings, exported):
     begun = max(lines[0].time, poses.time[0])
     state = np.stack(table["observation.state"].to_numpy())
     for frame in range(0, len(table), 7):
-        near = np.argmin(abs(poses.time - begun - frame / said["fps"]))
+        near = np.argmin(abs(poses.time - begun - frame / warnings["fps"]))
         assert np.abs(state[frame] - poses.pose[near])[:2].max() < 0.03
     # The picture is that of the recording, encoded again.
     path = out / "videos/observation.images.camera/chunk-000/file-001.mp4"
     with Video(recording.video(1)) as old, Video(path) as new:
         old_frames = [frame for _, _, frame in old]
         new_frames = [frame for _, _, frame in new]
-    where = int(poses.frame[np.searchsorted(poses.time, begun + 20 / said["fps"], "right") - 1])
+    where = int(poses.frame[np.searchsorted(poses.time, begun + 20 / warnings["fps"], "right") - 1])
     differences = [np.abs(new_frames[20].astype(int) - one).mean() for one in old_frames]
     assert differences[where] < 4
     assert abs(int(np.argmin(differences)) - where) <= 1
@@ -172,9 +172,9 @@ def test_readings_and_rates(recordings, tmp_path):
     rows = {"session": [1, 1], "command": [0, 1], "time": times[:2]}
     rows |= {"x": [0, 0], "y": [0, 0], "theta": [0, 0], "light": [0.25, 0.75]}
     write_csv(tmp_path / "a" / "observations.csv", rows)
-    said = export_lerobot([tmp_path / "a"], tmp_path / "out", fps=5)
-    assert (said["fps"], said["episodes"]) == (5, 1)
-    assert "observation.sensors" in said["features"]
+    warnings = export_lerobot([tmp_path / "a"], tmp_path / "out", fps=5)
+    assert (warnings["fps"], warnings["episodes"]) == (5, 1)
+    assert "observation.sensors" in warnings["features"]
     table = pd.read_parquet(tmp_path / "out" / "data")
     # A feature of one number is that number, as LeRobot has it.
     assert table["observation.sensors"].iloc[[0, -1]].tolist() == [0.25, 0.75]

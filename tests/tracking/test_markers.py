@@ -29,8 +29,8 @@ def find(frame, name, radius=6.4):
 def test_the_centre_to_a_tenth_of_a_pixel(du, dv, seed, fade):
     centre = np.array([60.0 + du, 45.0 + dv])
     for colour, name in ((scene.PINK, "pink"), (scene.BLUE, "blue")):
-        found = find(one_marker(centre, colour=colour, fade=fade, seed=seed), name)
-        assert math.dist(found.centre, centre) < 0.1
+        blobs = find(one_marker(centre, colour=colour, fade=fade, seed=seed), name)
+        assert math.dist(blobs.centre, centre) < 0.1
 
 
 @pytest.mark.parametrize("name", ["pink", "blue"])
@@ -40,8 +40,8 @@ def test_no_bias_and_little_noise_through_jpeg(name):
     for seed in range(40):
         centre = np.array([60.0, 45.0]) + rng.uniform(-0.5, 0.5, 2)
         colour = scene.PINK if name == "pink" else scene.BLUE
-        found = find(one_marker(centre, colour=colour, jpeg=90, seed=seed), name)
-        misses.append(found.centre - centre)
+        blobs = find(one_marker(centre, colour=colour, jpeg=90, seed=seed), name)
+        misses.append(blobs.centre - centre)
     assert np.abs(np.mean(misses, axis=0)).max() < 0.02
     assert np.std(misses, axis=0).max() < 0.05
 
@@ -52,16 +52,16 @@ def test_a_bright_board_close_to_the_rim_pulls_little():
     # Black reaches 2 px beyond the rim on one side, far on the other.
     scene.paint_rectangle(image, (centre[0] + 20, centre[1]), (28.4, 20), 0.0, (scene.BLACK,) * 3)
     scene.paint_disc(image, centre, 6.4, scene.PINK)
-    found = find(scene.finish(image, np.random.default_rng(0)), "pink")
-    assert math.dist(found.centre, centre) < 0.15
+    blobs = find(scene.finish(image, np.random.default_rng(0)), "pink")
+    assert math.dist(blobs.centre, centre) < 0.15
 
 
 def test_a_square_and_its_area():
     image = scene.background((120, 90), level=30.0)
     scene.paint_rectangle(image, (60.25, 44.5), (6.0, 6.0), 0.4, (60, 170, 60))
-    found = find(scene.finish(image, np.random.default_rng(0)), "green", radius=6.8)
-    assert math.dist(found.centre, (60.25, 44.5)) < 0.05
-    assert found.area == pytest.approx(144, rel=0.15)
+    blobs = find(scene.finish(image, np.random.default_rng(0)), "green", radius=6.8)
+    assert math.dist(blobs.centre, (60.25, 44.5)) < 0.05
+    assert blobs.area == pytest.approx(144, rel=0.15)
 
 
 def test_nothing_there_is_none():

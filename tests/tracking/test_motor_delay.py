@@ -52,18 +52,18 @@ def drive(lines, dead, seed, *, drift=0.0, dropped=0.0, noise=(0.0005, 0.0005, 0
 @given(st.floats(-0.06, 0.1), st.integers(0, 10**6), st.sampled_from([0.0, 0.1]))
 def test_the_dead_time_is_found(dead, seed, dropped):
     lines = commands(30, seed)
-    found = motion_delay(*drive(lines, dead, seed, dropped=dropped), lines)
-    assert found.delay == pytest.approx(dead, abs=0.006)
-    assert found.lag == pytest.approx(LAG, abs=0.01)
-    assert found.answers >= 20
+    delay = motion_delay(*drive(lines, dead, seed, dropped=dropped), lines)
+    assert delay.delay == pytest.approx(dead, abs=0.006)
+    assert delay.lag == pytest.approx(LAG, abs=0.01)
+    assert delay.answers >= 20
 
 
 def test_the_stated_deviation_covers_the_errors():
     misses = []
     for seed in range(25):
         lines = commands(15, seed)
-        found = motion_delay(*drive(lines, 0.02, seed), lines)
-        misses.append(abs(found.delay - 0.02) / found.sd)
+        delay = motion_delay(*drive(lines, 0.02, seed), lines)
+        misses.append(abs(delay.delay - 0.02) / delay.sd)
     assert np.mean(np.array(misses) < 2.0) >= 0.8
 
 
@@ -111,11 +111,11 @@ def test_flashes_that_are_mistaken_are_noticed(off, says):
     camera = times + 12.0
     right = ClockFit(-12.0, 0.0, 0.0, (12.5,), 0.001)
     assert disagreement(right, camera, poses, lines) is None
-    said = disagreement(ClockFit(-12.0 + off, 0.0, 0.0, (12.5,), 0.001), camera, poses, lines)
-    assert "--sync motion" in said
+    warnings = disagreement(ClockFit(-12.0 + off, 0.0, 0.0, (12.5,), 0.001), camera, poses, lines)
+    assert "--sync motion" in warnings
     number, side = says.split(" ms ")
-    assert side in said
-    assert float(said.split(" ms ")[0].split()[-1]) == pytest.approx(float(number), abs=8)
+    assert side in warnings
+    assert float(warnings.split(" ms ")[0].split()[-1]) == pytest.approx(float(number), abs=8)
     # A delay beyond what is looked for is none that may be corrected.
     assert motion_delay(times + 0.2, poses, lines) is None
 
@@ -158,13 +158,13 @@ def test_a_dataset_counts_from_when_the_motors_answered(tmp_path):
         recording.write_poses(
             Poses(np.ones(count, int), np.arange(count), times, poses, np.ones(count))
         )
-        found = displacements(recording, **options)
-        return np.array([(r["dx"], r["dy"], r["dtheta"]) for r in found.rows]), found
+        result = displacements(recording, **options)
+        return np.array([(r["dx"], r["dy"], r["dtheta"]) for r in result.rows]), result
 
     prompt, _ = rows(0.0)
-    late, found = rows(0.06)
+    late, result = rows(0.06)
     as_sent, untouched = rows(0.06, correct_delay=False)
-    assert found.corrected == {1}
+    assert result.corrected == {1}
     assert untouched.corrected == set()
     assert untouched.delays[1].delay == pytest.approx(0.06, abs=0.005)
     near = np.sqrt(np.mean((late - prompt)[:, 0] ** 2))

@@ -21,8 +21,8 @@ def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_pa
     v, w, duration = later.input_array()[:, 2:].T
     ideal = se2.exp(np.stack([v * duration, 0 * v, w * duration], axis=-1))
     errors = np.abs(ideal - later.output_array()).mean(axis=0)
-    found = [*(errors[:2] * 100), np.degrees(errors[2])]
-    assert [round(value, 2) for value in found] == [0.58, 0.38, 1.52]
+    result = [*(errors[:2] * 100), np.degrees(errors[2])]
+    assert [round(value, 2) for value in result] == [0.58, 0.38, 1.52]
     durations = dataset.table["duration"]
     assert (durations.min(), durations.max()) == (0.5, 3.0)
     read = Dataset.read(tmp_path / "out")
@@ -56,11 +56,11 @@ def test_the_real_robots_poses_within_commands_are_those_of_its_track(shared_dat
         assert moved == pytest.approx(expected, abs=1e-5)
     # Near its end a command has moved the robot most of the way.
     last = dataset.within.groupby("row").last()
-    share = last["time"] / dataset.table["duration"]
-    assert 0.7 < share.median() < 0.9
+    fraction = last["time"] / dataset.table["duration"]
+    assert 0.7 < fraction.median() < 0.9
     steady = dataset.table["v"] == dataset.table["v"].max()
     reached = (last["dx"] / dataset.table["dx"])[steady]
-    assert reached.median() == pytest.approx(share[steady].median(), abs=0.1)
+    assert reached.median() == pytest.approx(fraction[steady].median(), abs=0.1)
 
 
 def write(folder: Path, odometry, truth, names=("Robot1_Odometry.dat", "Robot1_Groundtruth.dat")):
@@ -121,9 +121,10 @@ def test_files_are_recognised_by_name_content_or_in_a_folder(tmp_path):
     bare = write(tmp_path / "bare", *arcs(), names=("a.txt", "b.txt"))
     (tmp_path / "named" / "Landmark_Groundtruth.dat").write_text("1 2 3 4 5\n")
     (tmp_path / "named" / "Robot1_Measurement.dat").write_text("1 2 3 4\n")
-    ways = [named, named[::-1], bare[::-1], tmp_path / "named", [str(tmp_path / "named")]]
+    distances = [named, named[::-1], bare[::-1], tmp_path / "named", [str(tmp_path / "named")]]
     outputs = [
-        import_mrclam(way, tmp_path / f"out{i}").output_array() for i, way in enumerate(ways)
+        import_mrclam(arguments, tmp_path / f"out{i}").output_array()
+        for i, arguments in enumerate(distances)
     ]
     for output in outputs[1:]:
         assert (output == outputs[0]).all()

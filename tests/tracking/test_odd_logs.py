@@ -18,8 +18,8 @@ def drive(seconds=60.0, seed=0, lag=0.15, commands=None):
     count = round(seconds / DT)
     if commands is None:
         held = rng.integers(10, 40, count)
-        drawn = rng.uniform((-0.3, -1.5), (0.3, 1.5), (count, 2)).round(2)
-        commands = np.repeat(drawn, held, axis=0)[:count]
+        random = rng.uniform((-0.3, -1.5), (0.3, 1.5), (count, 2)).round(2)
+        commands = np.repeat(random, held, axis=0)[:count]
     pose, velocity, poses = np.zeros(3), np.zeros(2), []
     for command in commands:
         poses.append(pose)
@@ -67,8 +67,8 @@ def same(a, b, within=1e-6):
 
 
 def test_a_plain_log_is_not_suspicious(imported):
-    made, said = imported(*drive())
-    assert said == ""
+    made, warnings = imported(*drive())
+    assert warnings == ""
     assert len(made) > 25
 
 
@@ -80,13 +80,13 @@ def test_drives_in_one_file_are_as_drives_in_two(imported, tmp_path, apart):
     begins = 60.0 + apart
     both = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
     both[0][len(first[0]) :] += begins
-    made, said = imported(*both)
-    assert "2 drives in one file" in said
+    made, warnings = imported(*both)
+    assert "2 drives in one file" in warnings
     same(made, expected)
     assert made.table["recording"].nunique() == 2
     column = np.repeat([3, 7], len(first[0]))
-    made, said = imported(*both, session="run", run=column)
-    assert said == ""
+    made, warnings = imported(*both, session="run", run=column)
+    assert warnings == ""
     same(made, expected)
     assert made.table["recording"].unique().tolist() == ["5/3", "5/7"]
 
@@ -105,9 +105,9 @@ def test_lines_out_of_order_or_twice(imported):
     order = np.arange(len(time))
     order[[100, 101, 300, 301]] = order[[101, 100, 301, 300]]
     order = np.insert(order, 500, order[500])
-    made, said = imported(time[order], poses[order], commands[order])
-    assert "2 lines are earlier than the line before; they are put in order" in said
-    assert "1 lines have the time of another line; one of each counts" in said
+    made, warnings = imported(time[order], poses[order], commands[order])
+    assert "2 lines are earlier than the line before; they are put in order" in warnings
+    assert "1 lines have the time of another line; one of each counts" in warnings
     same(made, expected)
 
 
@@ -117,8 +117,8 @@ def test_a_robot_that_is_carried_elsewhere_and_a_false_pose(imported):
     poses[200, :2] += 1.5
     poses[700:, :2] += (1.5, -1.0)
     poses[700:, 2] = np.angle(np.exp(1j * (poses[700:, 2] + 2.0)))
-    made, said = imported(time, poses, commands)
-    assert said.endswith("the pose jumps once (at 35.00 s); the log is cut there")
+    made, warnings = imported(time, poses, commands)
+    assert warnings.endswith("the pose jumps once (at 35.00 s); the log is cut there")
     # Commands go on: the first row after the jump knows its command before.
     assert len(made) >= len(expected) - 1
     moved = np.hypot(*made.output_array()[:, :2].T)
@@ -132,19 +132,19 @@ def test_clocks_that_differ(imported, late):
     shifted = np.column_stack(
         [np.interp(time, time + late, column) for column in np.unwrap(poses, axis=0).T]
     )
-    made, said = imported(time, shifted, commands)
+    made, warnings = imported(time, shifted, commands)
     side = "after" if late > 0 else "before"
-    assert f"{side} their commands, as no robot does: their clocks differ; corrected" in said
-    found = float(said.split("--delay ")[1].split()[0])
-    assert found == pytest.approx(late, abs=0.06)
-    left, said = imported(time, shifted, commands, settings=Settings(delay=0.0))
-    assert said == ""
+    assert f"{side} their commands, as no robot does: their clocks differ; corrected" in warnings
+    result = float(warnings.split("--delay ")[1].split()[0])
+    assert result == pytest.approx(late, abs=0.06)
+    left, warnings = imported(time, shifted, commands, settings=Settings(delay=0.0))
+    assert warnings == ""
     worse = np.abs(left.output_array()[3:-3] - expected.output_array()[3:-3]).mean()
     n = len(made)
     better = np.abs(made.output_array()[3 : n - 3] - expected.output_array()[3 : n - 3]).mean()
     assert better < 0.2 * worse
-    exact, said = imported(time, shifted, commands, settings=Settings(delay=late))
-    assert said == ""
+    exact, warnings = imported(time, shifted, commands, settings=Settings(delay=late))
+    assert warnings == ""
     assert exact.output_array()[3:-3] == pytest.approx(
         expected.output_array()[3 : len(exact) - 3], abs=0.01
     )
@@ -154,8 +154,8 @@ def test_a_robots_own_delay_is_left_to_training(imported):
     time, poses, commands = drive(120.0, lag=0.1)
     late = np.vstack([np.repeat(commands[:1], 6, axis=0), commands[:-6]])  # 0.3 s
     poses = drive(120.0, lag=0.1, commands=late)[1]
-    _, said = imported(time, poses, commands)
-    assert said == ""
+    _, warnings = imported(time, poses, commands)
+    assert warnings == ""
     log = clocks.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
     assert clocks.lateness(log).delay == pytest.approx(0.3, abs=0.06)
 
@@ -176,33 +176,35 @@ def test_units_that_are_not_what_the_options_say(imported, scale, conventions):
     expected, _ = imported(time, poses, commands)
     poses = poses * (scale[1], scale[1], scale[2])
     settings = Settings(longest_gap=1000.0, longest=100_000.0) if scale[0] > 1 else None
-    _, said = imported(scale[0] * time, poses, commands, settings=settings)
+    _, warnings = imported(scale[0] * time, poses, commands, settings=settings)
     options = " ".join(f"--{name} {unit}" for name, unit in conventions.items())
-    assert f"they would with {options}" in said
-    made, said = imported(scale[0] * time, poses, commands, conventions=Conventions(**conventions))
-    assert said == ""
+    assert f"they would with {options}" in warnings
+    made, warnings = imported(
+        scale[0] * time, poses, commands, conventions=Conventions(**conventions)
+    )
+    assert warnings == ""
     same(made, expected, 1e-5)
 
 
 def test_lengths_of_a_robot_of_two_wheels(imported):
     time, poses, commands = drive()
     wheels = np.column_stack([commands @ (1, -0.1), commands @ (1, 0.1)]) * 200  # percent
-    _, said = imported(time, poses, wheels, "left,right")
-    assert said == ""
-    _, said = imported(time, poses * (100, 100, 1), wheels, "left,right")
-    assert "they would with --length" in said
-    _, said = imported(time, poses, wheels[:, ::-1], "left,right")
-    assert "are left and right exchanged in --columns" in said
+    _, warnings = imported(time, poses, wheels, "left,right")
+    assert warnings == ""
+    _, warnings = imported(time, poses * (100, 100, 1), wheels, "left,right")
+    assert "they would with --length" in warnings
+    _, warnings = imported(time, poses, wheels[:, ::-1], "left,right")
+    assert "are left and right exchanged in --columns" in warnings
 
 
 def test_turns_that_go_the_other_way(imported):
     time, poses, commands = drive()
     expected, _ = imported(time, poses, commands)
     picture = poses * (1, -1, -1)
-    _, said = imported(time, picture, commands)
-    assert "turns the other way than w says: does y point to the right (--y right)?" in said
-    made, said = imported(time, picture, commands, conventions=Conventions(y="right"))
-    assert said == ""
+    _, warnings = imported(time, picture, commands)
+    assert "turns the other way than w says: does y point to the right (--y right)?" in warnings
+    made, warnings = imported(time, picture, commands, conventions=Conventions(y="right"))
+    assert warnings == ""
     same(made, expected)
 
 
@@ -210,14 +212,14 @@ def test_headings_that_do_not_fit_the_motion(imported):
     time, poses, commands = drive()
     wrong = poses.copy()
     wrong[400:600, 2] = poses[400, 2]  # it froze for 10 s
-    made, said = imported(time, wrong, commands)
-    assert "headings do not fit the way that the robot goes from 2" in said
-    assert "left out; --keep keeps them" in said
-    kept, said = imported(time, wrong, commands, settings=Settings(keep=True))
-    assert "headings" not in said
+    made, warnings = imported(time, wrong, commands)
+    assert "headings do not fit the way that the robot goes from 2" in warnings
+    assert "left out; --keep keeps them" in warnings
+    kept, warnings = imported(time, wrong, commands, settings=Settings(keep=True))
+    assert "headings" not in warnings
     assert len(kept) > len(made)
-    _, said = imported(time, poses + np.array([0, 0, 1.5]), commands)  # it drives sideways
-    assert "headings" not in said
+    _, warnings = imported(time, poses + np.array([0, 0, 1.5]), commands)  # it drives sideways
+    assert "headings" not in warnings
 
 
 def test_commands_that_were_measured_or_never_change(imported):
@@ -225,11 +227,11 @@ def test_commands_that_were_measured_or_never_change(imported):
     rng = np.random.default_rng(3)
     noisy = np.column_stack([commands, rng.normal(0, 1, len(time))])
     settings = Settings(shortest=0.05)
-    _, said = imported(time, poses, noisy, "v,w,gyro", settings=settings)
-    assert "gyro change with every sample, as measured speeds do" in said
+    _, warnings = imported(time, poses, noisy, "v,w,gyro", settings=settings)
+    assert "gyro change with every sample, as measured speeds do" in warnings
     still = np.column_stack([commands, np.full(len(time), 4.0)])
-    _, said = imported(time, poses, still, "v,w,arm")
-    assert said == "the command arm never changes: leave it out of --columns"
+    _, warnings = imported(time, poses, still, "v,w,arm")
+    assert warnings == "the command arm never changes: leave it out of --columns"
 
 
 def test_rows_that_turned_further_than_half_a_turn(tmp_path):
@@ -245,10 +247,10 @@ def test_rows_that_turned_further_than_half_a_turn(tmp_path):
         path = tmp_path / f"{wrapped}.csv"
         np.savetxt(path, lines, delimiter=",", header="u,duration,dx,dy,dtheta")
         made = import_csv(path, tmp_path / f"d{wrapped}", columns={"u": "u"})
-        said = "".join(made.meta["warnings"])
-        assert ("of 80 commands turned by more than half a turn" in said) == wrapped
+        warnings = "".join(made.meta["warnings"])
+        assert ("of 80 commands turned by more than half a turn" in warnings) == wrapped
         if wrapped:
-            assert abs(int(said.split()[0]) - far) <= 2
+            assert abs(int(warnings.split()[0]) - far) <= 2
 
 
 # Rows that follow one another
@@ -281,8 +283,8 @@ def test_windows_where_few_commands_were_held(imported):
     rng = np.random.default_rng(7)
     commands = np.repeat(rng.uniform(-1, 1, (600, 2)) * (0.3, 1.5), 2, axis=0)
     time, poses, _ = drive(60.0, commands=commands)
-    made, said = imported(time, poses, commands)
-    assert said == ""
+    made, warnings = imported(time, poses, commands)
+    assert warnings == ""
     assert made.meta["windows"] is True
     assert len(made) > 500
     assert made.joined.sum() == len(made) - 1
@@ -298,8 +300,8 @@ def test_windows_where_few_commands_were_held(imported):
 def test_poses_that_come_less_often_than_lines(imported):
     time, poses, commands = drive()
     expected, _ = imported(time, poses, commands)
-    made, said = imported(time, poses[np.arange(len(time)) // 4 * 4], commands)
-    assert said == ""
+    made, warnings = imported(time, poses[np.arange(len(time)) // 4 * 4], commands)
+    assert warnings == ""
     # Half of 0.2 s late on average, if they were taken as they stand.
     assert np.abs(made.output_array() - expected.output_array()[: len(made)]).mean() < 0.01
 

@@ -43,17 +43,17 @@ def test_rgb_has_the_hue_chroma_and_luma_of_the_look():
     alpha, beta = chroma_plane(bgr)
     chroma = math.hypot(alpha, beta)
     luma = float(bgr @ [0.114, 0.587, 0.299])
-    found = seen_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
-    assert found.rgb == "#c82878"
-    assert found.confidence == pytest.approx(1, abs=1e-4)
+    colour = seen_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
+    assert colour.rgb == "#c82878"
+    assert colour.confidence == pytest.approx(1, abs=1e-4)
 
 
 def test_this_cameras_pink_and_blue():
     front, rear = find_colours([picture(seed) for seed in range(3)], NAMES)
-    for found, paint in ((front, scene.PINK), (rear, scene.BLUE)):
+    for each_result, paint in ((front, scene.PINK), (rear, scene.BLUE)):
         alpha, beta = chroma_plane(np.array(paint, np.float32))
-        assert found.colour.hue == pytest.approx(math.atan2(beta, alpha), abs=0.08)
-        assert found.confidence > 0.8
+        assert each_result.colour.hue == pytest.approx(math.atan2(beta, alpha), abs=0.08)
+        assert each_result.confidence > 0.8
 
 
 def test_less_sure_among_others_and_where_it_is_seldom_seen():
@@ -88,13 +88,13 @@ def test_a_survey_finds_what_came_into_view_later_and_fits_as_well():
     alone, among = picture(1), picture(1, lone=True)
     before = survey_of([alone])
     after = survey_of([alone] * 70 + [among] * 60)  # looked at: 1, 64 and 128
-    assert min(found.confidence for found in before) > 0.8
-    assert max(found.confidence for found in after) < 0.85 * min(
-        found.confidence for found in before
+    assert min(colour.confidence for colour in before) > 0.8
+    assert max(colour.confidence for colour in after) < 0.85 * min(
+        colour.confidence for colour in before
     )
-    assert {found.reason for found in after} == {RIVAL}
+    assert {colour.reason for colour in after} == {RIVAL}
     pointed = survey_of([among], start=np.array([[145.0, 114.0], [115.0, 126.0]]))
-    assert min(found.confidence for found in pointed) > 0.8
+    assert min(colour.confidence for colour in pointed) > 0.8
 
 
 def test_a_pair_far_apart_for_its_size_is_doubted():
@@ -105,8 +105,8 @@ def test_a_pair_far_apart_for_its_size_is_doubted():
     front, rear = survey_of([scene.finish(image, np.random.default_rng(0))])
     assert max(front.confidence, rear.confidence) < CONFIDENT
     assert front.as_dict()["reason"] == APART
-    told = warning({"front": front.as_dict(), "rear": rear.as_dict()})
-    assert f"front pink and rear blue: {APART}" in told
+    sentence = warning({"front": front.as_dict(), "rear": rear.as_dict()})
+    assert f"front pink and rear blue: {APART}" in sentence
 
 
 def test_marginal_names_and_greys_are_doubted_by_hand():
@@ -126,7 +126,7 @@ def test_a_pair_that_never_moves_is_doubted():
     founds = find_colours([picture(1)], NAMES)
     front = np.array([[100.0, 100.0], [np.nan, np.nan], [100.2, 100.0]])
     still = unless_still(founds, front, front - (30.0, 0.0))
-    assert {(found.confidence, found.reason) for found in still} == {(0.5, STILL)}
+    assert {(colour.confidence, colour.reason) for colour in still} == {(0.5, STILL)}
     # It turned about its front.
     turned = unless_still(founds, front, np.array([[70.0, 100.0], [np.nan] * 2, [100.0, 130.0]]))
     assert turned == tuple(founds)

@@ -15,20 +15,20 @@ def test_a_click_on_or_near_a_fading_marker_gives_its_colour(which, bgr, off):
     image = scene.background()
     front, rear = scene.robot(image, np.array([300.0, 200.0]), 0.7)
     frame = scene.finish(image, np.random.default_rng(1))
-    found = colour_at(frame, (front if which == "front" else rear) + off)
+    colour = colour_at(frame, (front if which == "front" else rear) + off)
     true = parse_colour(f"#{bgr[2]:02x}{bgr[1]:02x}{bgr[0]:02x}")
-    assert abs(math.degrees(float(angle_between(found.colour.hue, true.hue)))) < 6
-    assert found.places == 1
-    assert found.confidence > 0.7
+    assert abs(math.degrees(float(angle_between(colour.colour.hue, true.hue)))) < 6
+    assert colour.places == 1
+    assert colour.confidence > 0.7
 
 
 def test_a_second_patch_of_the_colour_is_counted_and_makes_it_less_sure():
     image = scene.background()
     front, _ = scene.robot(image, np.array([300.0, 200.0]), 0.7)
     scene.paint_disc(image, np.array([500.0, 400.0]), 7, scene.PINK)
-    found = colour_at(scene.finish(image, np.random.default_rng(1)), front)
-    assert found.places == 2
-    assert found.confidence <= 0.7
+    colour = colour_at(scene.finish(image, np.random.default_rng(1)), front)
+    assert colour.places == 2
+    assert colour.confidence <= 0.7
 
 
 def test_grey_is_no_colour():

@@ -56,10 +56,10 @@ def test_a_tag_is_placed_to_hundredths_of_a_pixel(kind, side):
         # A guess as the detector gives it: off by a pixel, turned by three degrees, too large.
         turn = np.array([[1.0, 0.05], [-0.05, 1.0]]) * 1.05
         guess = Placed(middle + rng.uniform(-1, 1, 2), turn @ true.axes)
-        found = fit(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), tag, guess)
-        misses.append(np.concatenate([found.centre - middle, (found.axes - true.axes).ravel()]))
-        assert found.likeness > 0.95
-        assert found.seen > 0.9
+        result = fit(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), tag, guess)
+        misses.append(np.concatenate([result.centre - middle, (result.axes - true.axes).ravel()]))
+        assert result.likeness > 0.95
+        assert result.seen > 0.9
     centre, *axes = np.sqrt(np.mean(np.square(misses), axis=0)).reshape(3, 2)
     assert centre.max() < 0.03
     assert np.max(axes) < 0.1
@@ -192,9 +192,9 @@ def test_a_tag_that_was_long_lost_is_searched_in_some_of_the_frames():
     for i in range(61):
         assert not tracker.update(empty, i / 30).in_view
     frame, _ = picture((160.0, 120.0), 0.3)
-    found = [tracker.update(frame, 2 + i / 30).in_view for i in range(SEARCH_CADENCE)]
-    assert found[-1]
-    assert sum(found) < SEARCH_CADENCE
+    result = [tracker.update(frame, 2 + i / 30).in_view for i in range(SEARCH_CADENCE)]
+    assert result[-1]
+    assert sum(result) < SEARCH_CADENCE
 
 
 def test_a_tag_that_leaves_the_picture_is_lost_there():

@@ -45,7 +45,7 @@ def frame_at(time, rng, background):
     front, rear = CAMERA.to_pixels(ends)
     axis = front - rear
     image = background.copy()
-    share = np.mean(
+    fraction = np.mean(
         [
             any(on <= t < off for on, off in LAMP)
             for t in time + np.linspace(0, 1, 50) / FPS - 0.5 / FPS
@@ -58,7 +58,7 @@ def frame_at(time, rng, background):
         separation=float(np.hypot(*axis)),
         radius=0.03 * float(np.hypot(*axis)) / 0.16,
         body=(44, 18),
-        lamp=share,
+        lamp=fraction,
     )
     return scene.finish(image, rng)
 
@@ -115,8 +115,8 @@ def test_a_recording_becomes_poses(recording, tmp_path):
     assert document["sessions"][1]["clock"]["offset"] == pytest.approx(OFFSET, abs=0.005)
     assert document["sessions"][1]["clock"]["flashes"][0] == pytest.approx(0.6 - OFFSET, abs=0.005)
     with Video(tmp_path / "overlay-002.mp4") as overlay:
-        drawn = [frame for _, _, frame in overlay]
-    assert len(drawn) == FRAMES
+        sampled = [frame for _, _, frame in overlay]
+    assert len(sampled) == FRAMES
 
 
 def test_a_video_cut_in_the_middle_is_read_as_far_as_it_goes(recording):
@@ -258,9 +258,9 @@ def test_a_lens_alone_gives_pixels_without_its_distortion(frames, tmp_path):
     poses = summary["poses"]
     ends = [np.transpose([poses[f"{end}_u"], poses[f"{end}_v"]]) for end in ("front", "rear")]
     middle = np.mean([lens.straighten(end) for end in ends], axis=0)
-    found = np.transpose([poses["u"], poses["v"]])
-    np.testing.assert_allclose(found, middle, atol=1e-3)
-    assert np.abs(found - np.mean(ends, axis=0)).max() > 0.5
+    result = np.transpose([poses["u"], poses["v"]])
+    np.testing.assert_allclose(result, middle, atol=1e-3)
+    assert np.abs(result - np.mean(ends, axis=0)).max() > 0.5
     with pytest.raises(UserError, match="a height over the board needs"):
         track_video(path, ("pink", "blue"), calibration=lens, height=HEIGHT)
     with pytest.raises(UserError, match="a height over the board needs"):
@@ -333,9 +333,9 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     clicks = ["--click", "422,178", "--click", "437,177"]
     done = CliRunner().invoke(command_line, arguments + clicks)
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert told["in_view"] == 1
-    assert told["markers"]["front"]["confidence"] > 0.5
+    content = json.loads(done.stdout)
+    assert content["in_view"] == 1
+    assert content["markers"]["front"]["confidence"] > 0.5
     poses = read_csv(tmp_path / "out" / "poses.csv", {"u": number, "v": number})
     assert np.std([poses["u"], poses["v"]], axis=1).max() < 0.1
     assert abs(np.mean(poses["u"]) - 428) < 2
@@ -378,7 +378,7 @@ def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(reco
 
 @pytest.mark.slow
 def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):
-    def told(colours, video="marker-pushed.avi", *more):
+    def report_of(colours, video="marker-pushed.avi", *more):
         out = tmp_path / f"{colours}-{video}"
         path = str(shared_data / "footage" / video)
         done = CliRunner().invoke(command_line, [path, "--colours", colours, "-o", str(out), *more])
@@ -388,7 +388,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
             assert all(seen["rgb"] in done.stdout for seen in markers.values())
         return markers, done
 
-    right, done = told("green,blue")
+    right, done = report_of("green,blue")
     assert min(seen["confidence"] for seen in right.values()) > 0.9
     assert done.stderr.count("not sure") == 0
     # A ball and another robot's square, a pair that stands still, and what belongs to nobody.
@@ -397,17 +397,17 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
         ("pink,blue", "marker-pushed.avi"),
         ("green,orange", "field-static.mp4"),
     ):
-        refused, done = told(colours, video)
+        refused, done = report_of(colours, video)
         assert refused is None
         assert isinstance(done.exception, UserError)
         assert "may not be the robot's markers" in str(done.exception)
         assert "--click U,V" in str(done.exception)
         assert not (tmp_path / f"{colours}-{video}").exists()
-        wrong, done = told(colours, video, "--doubtful")
+        wrong, done = report_of(colours, video, "--doubtful")
         assert max(seen["confidence"] for seen in wrong.values()) <= 0.5
         assert "may not be the robot's markers" in done.stderr
         assert "--click U,V" in done.stderr
-    nothing, done = told("green,orange")
+    nothing, done = report_of("green,orange")
     assert nothing is None
     assert isinstance(done.exception, UserError)
     assert not (tmp_path / "green,orange-marker-pushed.avi").exists()

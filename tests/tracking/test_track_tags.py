@@ -67,8 +67,8 @@ def test_one_of_several(video, tmp_path):
     check(tmp_path / "out", 3)
     assert "found in 100.0 %" in done.stdout
     assert "tag 3 of APRILTAG_36h11, others in view: 1" in done.stdout
-    told = json.loads((tmp_path / "out" / "tracking.json").read_text())
-    assert told["markers"] == {"tag": {"dictionary": "APRILTAG_36h11", "id": 3, "others": [1]}}
+    content = json.loads((tmp_path / "out" / "tracking.json").read_text())
+    assert content["markers"] == {"tag": {"dictionary": "APRILTAG_36h11", "id": 3, "others": [1]}}
     with Video(tmp_path / "seen.avi") as overlay:
         assert sum(1 for _ in overlay) == FRAMES
 
@@ -79,8 +79,8 @@ def test_each_of_several_into_a_folder_of_its_own(video, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["tag-1", "tag-3", "tag-6"]
     for number, begin in ((1, 0), (3, 0), (6, 12)):
         check(tmp_path / "out" / f"tag-{number}", number, begin)
-    told = json.loads(done.stdout)["tags"]
-    assert [each["markers"]["tag"]["id"] for each in told] == [1, 3, 6]
+    content = json.loads(done.stdout)["tags"]
+    assert [each["markers"]["tag"]["id"] for each in content] == [1, 3, 6]
 
 
 def test_a_file_names_the_tag_and_its_size_counts_only_in_metres(video, tmp_path):

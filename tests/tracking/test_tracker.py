@@ -64,19 +64,19 @@ def test_what_is_learned_is_close_to_the_paint():
 
 
 @pytest.mark.parametrize("covered", [0, 1])
-@pytest.mark.parametrize("share", [0.5, 1.0])
-def test_a_covered_marker_has_no_pose(covered, share):
+@pytest.mark.parametrize("fraction", [0.5, 1.0])
+def test_a_covered_marker_has_no_pose(covered, fraction):
     rng, tracker = np.random.default_rng(1), new_tracker()
 
     def cover(image, centres):
-        where = centres[covered] + np.array([-14.0 * (1 - share), 0.0])
+        where = centres[covered] + np.array([-14.0 * (1 - fraction), 0.0])
         scene.paint_rectangle(image, where, (7.5, 9.0), 0.0, (150, 160, 165))
 
     for i, (middle, heading) in enumerate(drive()):
         hidden = 20 <= i < 40
         frame, truth = picture(middle, heading, rng, cover if hidden else None)
         sighting = tracker.update(frame, i / FPS)
-        if hidden and share == 1.0:
+        if hidden and fraction == 1.0:
             assert not sighting.in_view
             assert np.isnan(sighting.front).all()
             assert sighting.quality == 0
@@ -98,16 +98,16 @@ def test_things_of_the_same_colours_capture_nothing():
         scene.paint_disc(image, centres[0] + (0.0, 17.0), 6.4, scene.PINK)
         scene.paint_disc(image, centres[1] + (16.0, 0.0), 6.4, scene.BLUE)
 
-    found = 0
+    result = 0
     for i, (middle, heading) in enumerate(drive()):
         frame, truth = picture(middle, heading, rng, others if i >= 10 else None)
         sighting = tracker.update(frame, i / FPS)
         if sighting.in_view:
-            found += 1
+            result += 1
             assert np.abs(pixels_of(sighting) - truth).max() < 2.0
         else:
             assert i >= 10
-    assert found > 50
+    assert result > 50
 
 
 def test_a_hidden_marker_is_not_replaced_by_another_of_its_colour():
@@ -130,14 +130,14 @@ def test_found_again_wherever_a_hand_put_it_and_never_swapped():
         tracker.update(frame, i / FPS)
     for i in range(12, 90):
         tracker.update(scene.finish(BACKGROUND.copy(), rng), i / FPS)
-    found = []
+    results = []
     for i in range(90, 110):
         frame, truth = picture((220.0, 160.0), 0.2 + math.pi, rng)
         sighting = tracker.update(frame, i / FPS)
         if sighting.in_view:
-            found.append(pixels_of(sighting) - truth)
-    assert len(found) >= 15
-    assert np.abs(found).max() < 0.15
+            results.append(pixels_of(sighting) - truth)
+    assert len(results) >= 15
+    assert np.abs(results).max() < 0.15
 
 
 def test_geometry_tells_the_robot_from_a_larger_pair():
@@ -203,7 +203,7 @@ def test_pushed_plate_in_real_footage(shared_data):
 def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
     rng = np.random.default_rng(3)
     clean, noisy = new_tracker(colours=("green", "blue")), new_tracker(colours=("green", "blue"))
-    found = []
+    results = []
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:
         for _, time, frame in video:
             truth = pixels_of(clean.update(frame, time))
@@ -213,9 +213,9 @@ def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
                 frame = scene.webcam_noise(frame, sd, rng)
             sighting = noisy.update(frame, time)
             if sighting.in_view:
-                found.append(np.abs(pixels_of(sighting) - truth).max())
-    assert max(found) < 5
-    assert len(found) > 90
+                results.append(np.abs(pixels_of(sighting) - truth).max())
+    assert max(results) < 5
+    assert len(results) > 90
     assert min(each.confidence for each in noisy.seen_colours) > 0.6
 
 
@@ -276,7 +276,7 @@ def test_the_least_size_of_markers(diameter, noise, jpeg):
             misses.append(np.abs(pixels_of(sighting) - truth).max())
     assert len(misses) > 40
     assert max(misses) < 1.5
-    assert min(found.confidence for found in tracker.seen_colours) > 0.6
+    assert min(colour.confidence for colour in tracker.seen_colours) > 0.6
 
 
 def hidden_plate(shared_data, tracker, twin_from=0):
@@ -313,7 +313,7 @@ def twins(image, where, **robot):
 
 @pytest.mark.slow
 def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
-    rng, tracker, found = np.random.default_rng(10), new_tracker(), []
+    rng, tracker, result = np.random.default_rng(10), new_tracker(), []
     for i in range(150):
         image = BACKGROUND.copy()
         own = [] if 20 <= i < 110 else [(80.0, 60.0)]
@@ -321,9 +321,9 @@ def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
         twins(image, own + ([(240.0 - 0.5 * i, 180.0)] if i >= 10 else []))
         sighting = tracker.update(scene.finish(image, rng), i / FPS)
         if sighting.in_view:
-            found.append(i)
+            result.append(i)
             assert np.abs(pixels_of(sighting).mean(axis=0) - (80.0, 60.0)).max() < 1
-    assert len(found) > 55
+    assert len(result) > 55
 
 
 def test_of_two_that_both_fit_none_is_taken_and_it_is_counted():
@@ -419,14 +419,14 @@ def test_a_start_chooses_among_pairs():
     start = np.stack(truth) + 3.0
     tracker = Tracker(parse_colour("pink"), parse_colour("blue"), None, start)
     assert np.abs(pixels_of(tracker.update(frame, 0.0)) - truth).max() < 0.15
-    assert min(found.confidence for found in tracker.seen_colours) > 0.9
+    assert min(colour.confidence for colour in tracker.seen_colours) > 0.9
     free = new_tracker()
     free.update(frame, 0.0)
-    assert max(found.confidence for found in free.seen_colours) < 0.7
+    assert max(colour.confidence for colour in free.seen_colours) < 0.7
 
 
 def test_two_things_that_pass_each_other_are_forgotten():
-    rng, tracker, found = np.random.default_rng(9), new_tracker(), []
+    rng, tracker, result = np.random.default_rng(9), new_tracker(), []
     for i in range(60):
         image = BACKGROUND.copy()
         if i < 6:  # two boxes on their ways, with nothing of the robot in view
@@ -439,7 +439,7 @@ def test_two_things_that_pass_each_other_are_forgotten():
         frame, truth = picture((150.0 + i, 160.0), 0.4, rng)
         sighting = tracker.update(frame, i / FPS)
         if sighting.in_view:
-            found.append(np.abs(pixels_of(sighting) - truth).max())
-    assert len(found) >= 39
-    assert max(found) < 0.15
+            result.append(np.abs(pixels_of(sighting) - truth).max())
+    assert len(result) >= 39
+    assert max(result) < 0.15
     assert min(each.confidence for each in tracker.seen_colours) > 0.9

@@ -37,12 +37,12 @@ def write(path, frames, codec):
 
 def boxes(data):
     """The boxes of an MP4 file by their kind."""
-    found, place = {}, 0
+    result, place = {}, 0
     while place < len(data):
         length, kind = struct.unpack(">I4s", data[place : place + 8])
-        found[kind] = data[place : place + length]
+        result[kind] = data[place : place + length]
         place += length
-    return found
+    return result
 
 
 def index_first(data):

@@ -24,8 +24,8 @@ def trained(data, members=1, noise=False, centres=40, **settings):
 
 
 def errors(simulator, data):
-    found = simulator.displacement_of(simulator.chained(data.x))
-    return (found - data.y).abs().mean(0)
+    result = simulator.displacement_of(simulator.chained(data.x))
+    return (result - data.y).abs().mean(0)
 
 
 @pytest.mark.slow
@@ -56,8 +56,8 @@ def test_a_speed_that_falls_again_at_large_commands_is_found():
         Motion(*rows, CommandFeatures.of(NAMES), float(data.input_scale[4]), data.within)
     )
     u = torch.linspace(-1.0, 1.0, 21, dtype=torch.float64).unsqueeze(1).repeat(1, 2)
-    found = drive.shaped(u) * drive.kinematics[1, 2] / 2.0
-    assert (found - curve(u)).abs().max() < 0.05
+    driven = drive.shaped(u) * drive.kinematics[1, 2] / 2.0
+    assert (driven - curve(u)).abs().max() < 0.05
     assert drive.lag.tolist() == pytest.approx([0.15, 0.15], rel=0.1)
 
 
@@ -104,9 +104,9 @@ def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
     moved = se2.mid_turn(data.y)
     turn = torch.linalg.lstsq(data.x[:, 2:4] * time, data.y[:, 2]).solution
     ahead = torch.linalg.lstsq(chord[:, None] * data.x[:, 2:4] * time, moved[:, 0]).solution
-    ways = fresh.x[:, 2:4] * fresh.x[:, 4:]
+    distances = fresh.x[:, 2:4] * fresh.x[:, 4:]
     none = torch.zeros(len(fresh.x), dtype=torch.float64)
-    unicycle = se2.exp(torch.stack([ways @ ahead, none, ways @ turn], 1))
+    unicycle = se2.exp(torch.stack([distances @ ahead, none, distances @ turn], 1))
     own = errors(trained(data), fresh)
     assert (own < (unicycle - fresh.y).abs().mean(0)).all()
 
@@ -225,8 +225,8 @@ def test_a_swing_is_found_where_there_is_one(side):
     x, y = data.scaled_inputs, data.y.clone()
     swing = Derived(swing=0.03 * (side or 1.0)).append(columns, x)[:, -1]
     y[:, 2] += 0.1 * abs(side) * swing
-    found = trained(TrainingData(data.inputs, data.x, y)).derived
-    assert found == Derived(swing=0.03 * side if side else None)
+    result = trained(TrainingData(data.inputs, data.x, y)).derived
+    assert result == Derived(swing=0.03 * side if side else None)
 
 
 @pytest.mark.slow
@@ -238,12 +238,12 @@ def test_members_span_what_another_recording_of_the_same_robot_would_say():
         for s in range(6)
     ]
 
-    def said(simulator, member=-1):
+    def output(simulator, member=-1):
         return simulator.displacement_of(simulator.chained(fresh.x), member)
 
-    means = torch.stack([said(one) for one in simulators])
+    means = torch.stack([output(one) for one in simulators])
     of_members = torch.stack(
-        [torch.stack([said(one, m) for m in range(8)]).var(0) for one in simulators]
+        [torch.stack([output(one, m) for m in range(8)]).var(0) for one in simulators]
     )
     ratio = (of_members.mean((0, 1)) / means.var(0).mean(0)).sqrt()
     assert ((ratio > 0.6) & (ratio < 2.0))[[0, 2]].all()
@@ -281,12 +281,12 @@ def test_robots_that_it_cannot_drive_are_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("true", "found"), [(0.0, (0.0, 0.0)), (0.15, (0.05, 0.25))])
-def test_a_delay_is_believed_where_the_rows_tell_it_from_a_lag(true, found):
+@pytest.mark.parametrize(("true", "result"), [(0.0, (0.0, 0.0)), (0.15, (0.05, 0.25))])
+def test_a_delay_is_believed_where_the_rows_tell_it_from_a_lag(true, result):
     """From the ends of a hundred commands alone."""
     for seed in (0, 2):
         data = drive_data(100, seed=seed, delay=true, noise=0.003)
         names = tuple(entry["name"] for entry in data.inputs)
         columns, longest = CommandFeatures.of(names), float(data.input_scale[-1])
         drive, *_ = fit_drive(Motion(data.scaled_inputs, data.y, data.follows, columns, longest))
-        assert found[0] <= float(drive.delay) <= found[1]
+        assert result[0] <= float(drive.delay) <= result[1]

@@ -41,7 +41,7 @@ def driven(x, band, seed=0):
     return se2.exp(twist) + rng.normal(0.0, 4e-4, (len(x), 3))
 
 
-def found(x, y, names=NAMES):
+def dead_bands(x, y, names=NAMES):
     """The dead bands of the actuators in the units of x."""
     inputs = [{"name": name, "unit": "%"} for name in names]
     data = TrainingData(inputs, torch.tensor(x), torch.tensor(y))
@@ -57,15 +57,15 @@ def test_each_motor_has_its_own(band):
     # Whole turns are among them, at whose end the way cannot be told from no way.
     y = driven(x, band)
     assert np.abs(y[:, 2]).max() > 2 * np.pi
-    np.testing.assert_allclose(found(x, y), band, atol=1e-9)
+    np.testing.assert_allclose(dead_bands(x, y), band, atol=1e-9)
 
 
 @pytest.mark.parametrize(("seed", "band"), [(0, (0.5, 3.5)), (1, (7.5, 1.5)), (2, (5.5, 5.5))])
 def test_what_120_rows_say_of_a_command_is_right(seed, band):
     x = commands(120, seed)
-    said, size = found(x, driven(x, np.array(band), seed)), np.abs(x[:, 2:4])
+    messages, size = dead_bands(x, driven(x, np.array(band), seed)), np.abs(x[:, 2:4])
     # One per cent may pass as standing still.
-    wrong = ((size < said) != (size < band)) & (size > 1)
+    wrong = ((size < messages) != (size < band)) & (size > 1)
     assert wrong.sum() <= 1
 
 
@@ -73,7 +73,7 @@ def test_wild_rows_do_not_hide_it():
     x = commands(400)
     y = driven(x, (3.5, 4.5))
     y[::10] += np.random.default_rng(1).normal(0.0, 1.0, y[::10].shape)
-    np.testing.assert_allclose(found(x, y), [3.5, 4.5])
+    np.testing.assert_allclose(dead_bands(x, y), [3.5, 4.5])
 
 
 def test_where_both_creep_neither_is_judged_alone():
@@ -82,7 +82,7 @@ def test_where_both_creep_neither_is_judged_alone():
     x = x[(np.abs(x[:, 2:4]) > 12).all(1)]
     slow = np.repeat(np.arange(1.0, 9.0), 3)
     x = np.vstack([x, np.column_stack([0 * slow, 0 * slow, slow, slow, 1.0 + slow / 8])])
-    np.testing.assert_allclose(found(x, driven(x, (4.5, 4.5))), 4.5)
+    np.testing.assert_allclose(dead_bands(x, driven(x, (4.5, 4.5))), 4.5)
 
 
 def test_of_three_actuators_each_has_its_own():
@@ -93,14 +93,14 @@ def test_of_three_actuators_each_has_its_own():
     felt = np.where(np.abs(speeds) < [2.5, 7.5, 4.5], 0.0, speeds) * [0.01, 0.008, 0.04]
     y = se2.exp(felt * x[:, 6:]) + rng.normal(0.0, 1e-3, (400, 3))
     names = ("prev_vx", "prev_vy", "prev_w", "vx", "vy", "w", "duration")
-    np.testing.assert_allclose(found(x, y, names), [2.5, 7.5, 4.5])
+    np.testing.assert_allclose(dead_bands(x, y, names), [2.5, 7.5, 4.5])
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_noise_is_not_taken_for_one(seed):
     x = commands(300, seed)
     x[:, :4] += np.random.default_rng(seed).uniform(-0.5, 0.5, (300, 4))  # not whole percents
-    assert not found(x, driven(x, (0.0, 0.0), seed)).any()
+    assert not dead_bands(x, driven(x, (0.0, 0.0), seed)).any()
 
 
 def test_steering_has_none_though_small_angles_do_little():
@@ -113,25 +113,27 @@ def test_steering_has_none_though_small_angles_do_little():
     v = np.where(np.abs(commanded[:, 0]) < 0.1, 0.0, commanded[:, 0])
     w = 1.8 * v * commanded[:, 1] * rng.normal(1.0, 0.03, 300)
     y = se2.exp(np.column_stack([v, 0 * v, w]) * x[:, 4:]) + rng.normal(0.0, 2e-3, (300, 3))
-    speed, steering = found(x, y, ("prev_speed", "prev_steering", "speed", "steering", "duration"))
+    speed, steering = dead_bands(
+        x, y, ("prev_speed", "prev_steering", "speed", "steering", "duration")
+    )
     assert speed == pytest.approx(0.1, abs=0.01)
     assert steering < 0.02
 
 
 def test_inputs_of_one_sign_have_none():
     x = np.abs(commands(200))
-    assert not found(x, driven(x, (4.5, 4.5))).any()
+    assert not dead_bands(x, driven(x, (4.5, 4.5))).any()
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_of_the_labs_robots_200_rows_tell_which_commands_do_nothing(seed):
     params, source = LabParams.sampled(seed), RandomCommands(seed=seed)
-    drawn = [source.command(n) for n in range(200)]
-    commanded = np.array([c.row for c in drawn])
+    commands_sampled = [source.command(n) for n in range(200)]
+    commanded = np.array([c.row for c in commands_sampled])
     state = new_state(params, seed, (0.0, 0.0, 0.0))
     poses = displacements(state, commanded, params.coefficients(), slip_field(params))
     x = np.column_stack([np.vstack([np.zeros(2), commanded[:-1, :2]]), commanded])
-    said = found(x, se2.between(poses[:-1], poses[1:]))
+    message = dead_bands(x, se2.between(poses[:-1], poses[1:]))
     size = np.abs(commanded[:, :2])
     stands = size < [params.dead_band_left, params.dead_band_right]
-    np.testing.assert_array_equal((size < said)[size > 0], stands[size > 0])
+    np.testing.assert_array_equal((size < message)[size > 0], stands[size > 0])

@@ -24,13 +24,16 @@ def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
     out = tmp_path / "s"
     train(dataset, out, trainer=trainer, progress=False, **QUICK[trainer])
     earlier, _ = Dataset.read(dataset).split(HELD_OUT)
-    found, said = read_simulator(out), json.loads((out / "simulator.json").read_text())["domain"]
-    names = list(found.command_names)
-    inputs = earlier.input_array()[:, [found.input_names.index(name) for name in names]]
-    assert said["rows"] == len(earlier)
-    assert said["commands"]["left"] == [inputs[:, 0].min(), inputs[:, 0].max()]
-    assert found.knows_gaps
-    assert found.supported(inputs).mean() > 0.95
+    content, messages = (
+        read_simulator(out),
+        json.loads((out / "simulator.json").read_text())["domain"],
+    )
+    names = list(content.command_names)
+    inputs = earlier.input_array()[:, [content.input_names.index(name) for name in names]]
+    assert messages["rows"] == len(earlier)
+    assert messages["commands"]["left"] == [inputs[:, 0].min(), inputs[:, 0].max()]
+    assert content.knows_gaps
+    assert content.supported(inputs).mean() > 0.95
 
 
 @pytest.mark.slow
@@ -41,14 +44,14 @@ def test_no_member_runs_off_where_rows_were_few():
     simulator.known = domain_of(simulator, data, None)
     rng, rows = np.random.default_rng(0), 4000
     low, high = np.array(list(simulator.domain.values())).T
-    drawn = rng.uniform(low, high, (20 * rows, 3))
-    drawn = drawn[simulator.supported(drawn)][: 6 * rows]
-    commands = torch.from_numpy(drawn).reshape(6, rows, 3)
+    random = rng.uniform(low, high, (20 * rows, 3))
+    random = random[simulator.supported(random)][: 6 * rows]
+    commands = torch.from_numpy(random).reshape(6, rows, 3)
     every = torch.arange(simulator.members).repeat_interleave(rows)
     state = simulator.start_as(torch.zeros(len(every), 3, dtype=torch.float64), every)
     for command in commands:
         before = state[:, :3].numpy()
         state = simulator.step(state, command.repeat(simulator.members, 1))
-        way = se2.between(before, state[:, :3].numpy()).reshape(-1, rows, 3)
-        apart = np.abs(way - np.median(way, axis=0)).max(axis=(0, 1))
+        distance = se2.between(before, state[:, :3].numpy()).reshape(-1, rows, 3)
+        apart = np.abs(distance - np.median(distance, axis=0)).max(axis=(0, 1))
         assert (apart < [0.12, 0.12, np.radians(45.0)]).all()

@@ -65,8 +65,8 @@ def test_the_ideal_unicycle_stands_beside_a_simulator_of_velocities(tmp_path, ma
     table = evaluate(tmp_path / "s", tmp_path / "d")
     baseline = table["baseline"]
     assert baseline["description"] == "ideal unicycle"
-    found = [baseline["errors"][name]["mean_absolute_error"] for name in ("dx", "dy", "dtheta")]
-    assert found == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
+    result = [baseline["errors"][name]["mean_absolute_error"] for name in ("dx", "dy", "dtheta")]
+    assert result == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
 
 
 def test_a_dataset_of_another_robot_is_refused(tmp_path, dataset, make_dataset):

@@ -24,8 +24,8 @@ def test_two_rows_by_hand():
     x = torch.tensor([[0.0], [2.0]], dtype=torch.float64)
     y, trust = torch.tensor([[1.0], [-1.0]]).double(), torch.ones(2, 1, dtype=torch.float64)
     log_length = torch.tensor(2.0, dtype=torch.float64).log()
-    found = torch.tensor([log_length, 0.0, 0.0], dtype=torch.float64)
-    value, _ = unlikelihood(found, x, y, trust, torch.ones(1, dtype=torch.float64))
+    result = torch.tensor([log_length, 0.0, 0.0], dtype=torch.float64)
+    value, _ = unlikelihood(result, x, y, trust, torch.ones(1, dtype=torch.float64))
     shared = float(torch.tensor(-0.5).exp())
     # The matrix [[2, s], [s, 2]] has determinant 4 - s^2; (1, -1) is its eigenvector of 2 - s.
     expected = 1.0 / (2.0 - shared) + 0.5 * float(torch.tensor(4.0 - shared**2).log())
@@ -34,14 +34,14 @@ def test_two_rows_by_hand():
 
 def test_the_value_is_that_of_normal_distributions():
     x, y, trust, spread = rows()
-    found = torch.tensor([0.7, 0.7, 0.7, 0.0, 0.0, -0.4, 0.2], dtype=torch.float64)
-    value, _ = unlikelihood(found, x, y, trust, spread)
-    lengths = found[0].exp() * spread
+    result = torch.tensor([0.7, 0.7, 0.7, 0.0, 0.0, -0.4, 0.2], dtype=torch.float64)
+    value, _ = unlikelihood(result, x, y, trust, spread)
+    lengths = result[0].exp() * spread
     shared = torch.exp(-0.5 * torch.cdist(x / lengths, x / lengths).square())
     constant = 10.0 * math.log(2.0 * math.pi)  # of 20 rows, which the likelihood leaves out
     expected = 0.0
     for f in range(2):
-        noise = torch.diag((2.0 * found[5 + f]).exp() / trust[:, f])
+        noise = torch.diag((2.0 * result[5 + f]).exp() / trust[:, f])
         normal = MultivariateNormal(torch.zeros(20, dtype=torch.float64), shared + noise)
         expected -= float(normal.log_prob(y[:, f])) + constant
     assert value == pytest.approx(expected, abs=1e-3)
@@ -50,8 +50,10 @@ def test_the_value_is_that_of_normal_distributions():
 @pytest.mark.parametrize("seed", range(3))
 def test_the_gradient_is_that_of_differences(seed):
     x, y, trust, spread = rows(seed)
-    found = 0.5 * torch.randn(7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    _, gradient = unlikelihood(found, x, y, trust, spread)
+    result = 0.5 * torch.randn(
+        7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
+    _, gradient = unlikelihood(result, x, y, trust, spread)
     for k, step in enumerate(1e-5 * torch.eye(7, dtype=torch.float64)):
-        above, below = (unlikelihood(found + s * step, x, y, trust, spread)[0] for s in (1, -1))
+        above, below = (unlikelihood(result + s * step, x, y, trust, spread)[0] for s in (1, -1))
         assert float(gradient[k]) == pytest.approx((above - below) / 2e-5, abs=1e-4)

@@ -57,8 +57,8 @@ def test_what_an_outcome_takes_away_is_what_conditioning_on_it_leaves_out():
     outcome = belief + rng.normal(0, np.sqrt(noise), belief.shape)
     slope, offset = np.polyfit(outcome, belief, 1)
     left = np.var(belief - slope * outcome - offset)
-    found = taken_away(torch.tensor(variance), torch.tensor(noise)).item()
-    assert found == pytest.approx(variance - left, rel=0.02)
+    result = taken_away(torch.tensor(variance), torch.tensor(noise)).item()
+    assert result == pytest.approx(variance - left, rel=0.02)
     assert taken_away(torch.tensor(0.0), torch.tensor(noise)) == 0.0
 
 
@@ -77,10 +77,10 @@ def test_each_command_is_the_best_of_its_candidates_after_the_one_before(committ
     for number, command in zip(
         range(20, 30), choose(committee, source, range(20, 30), settings=QUICK), strict=True
     ):
-        drawn = [source.command(6 * number + k) for k in range(6)]
-        x = torch.tensor([[*speeds, *c.row] for c in drawn])
+        commands_sampled = [source.command(6 * number + k) for k in range(6)]
+        x = torch.tensor([[*speeds, *c.row] for c in commands_sampled])
         predicted = committee.displacements(x.double())
-        assert command == drawn[int(committee.worth(x.double(), predicted).argmax())]
+        assert command == commands_sampled[int(committee.worth(x.double(), predicted).argmax())]
         speeds = command.numbers
 
 

@@ -57,8 +57,8 @@ def test_the_size_is_found_again_in_all_its_parts():
     sources[2, 2, 0] = 0.001
     x, y, mean, noise = recorded(6000, sources=sources)
     columns = CommandFeatures.of(NAMES)
-    found = fit_noise(columns, x, mean, y)
-    sizes = [typical_size(model, columns, x, mean) for model in (noise, found)]
+    fitted_noise = fit_noise(columns, x, mean, y)
+    sizes = [typical_size(model, columns, x, mean) for model in (noise, fitted_noise)]
     ratio = (sizes[1] / sizes[0]).log()
     assert ratio.square().mean(0).sqrt().max() < 0.15
     # Straight ahead, where noise that was added to the chord would be too small.
@@ -74,8 +74,8 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     log_scale[:, SCALE_FEATURES.index("before")] = -0.4
     x, y, mean, noise = recorded(3000, log_scale=log_scale)
     columns = CommandFeatures.of(NAMES)
-    found = fit_noise(columns, x, mean, y)
-    sizes = [typical_size(model, columns, x, mean) for model in (noise, found)]
+    fitted_noise = fit_noise(columns, x, mean, y)
+    sizes = [typical_size(model, columns, x, mean) for model in (noise, fitted_noise)]
     rest = (x[:, :2] == 0.0).all(1)
     wider = [(size[rest].log().mean(0) - size[~rest].log().mean(0)).exp() for size in sizes]
     assert wider[0].min() > 2.5

@@ -49,10 +49,10 @@ def test_training_learns_far_more_than_the_mean(tmp_path, dataset, settings, bet
     earlier, later = Dataset.read(dataset).split(0.2)
     actual = later.output_array()
     of_the_mean = errors(earlier.output_array().mean(0) + 0 * actual, actual)
-    for name, found in simulator.meta["test_errors"].items():
+    for name, value in simulator.meta["test_errors"].items():
         limit = 1.1 if "trainer" in settings and name == "dy" else better
-        assert found["mean_absolute_error"] < of_the_mean[name]["mean_absolute_error"] / limit
-        assert found["mse"] < of_the_mean[name]["mse"]
+        assert value["mean_absolute_error"] < of_the_mean[name]["mean_absolute_error"] / limit
+        assert value["mse"] < of_the_mean[name]["mse"]
 
 
 def test_the_simulator_says_where_it_came_from(tmp_path, dataset):
@@ -139,8 +139,8 @@ def test_a_robot_that_never_moved_can_be_learned(tmp_path, robot_data, make_data
     inputs[:, :4] = 0
     make_dataset(inputs, 0 * outputs).write(tmp_path / "d")
     simulator = train(tmp_path / "d", tmp_path / "s", **QUICK_ENSEMBLE)
-    for found in simulator.meta["test_errors"].values():
-        assert found["mean_absolute_error"] < 1e-3
+    for value in simulator.meta["test_errors"].values():
+        assert value["mean_absolute_error"] < 1e-3
 
 
 def test_table_2_is_the_papers(tmp_path, dataset):
@@ -171,27 +171,27 @@ def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
     assert outcome(tmp_path / "1") == outcome(tmp_path / "2")
 
 
-@pytest.mark.parametrize("way", ["each three times in a row", "all three times"])
+@pytest.mark.parametrize("distance", ["each three times in a row", "all three times"])
 @pytest.mark.slow
-def test_copies_of_rows_change_nothing_and_are_counted(tmp_path, dataset, way):
+def test_copies_of_rows_change_nothing_and_are_counted(tmp_path, dataset, distance):
     """They would be in both parts of every split: in the folds, and held out."""
     whole = Dataset.read(dataset)
     rows = np.repeat(np.arange(len(whole)), 3)
-    if way == "all three times":
+    if distance == "all three times":
         rows = np.tile(np.arange(len(whole)), 3)
     table = whole.table.iloc[rows].reset_index(drop=True)
     meta = {**whole.meta, "rows": len(table), "within": 0}
     Dataset(table, whole.inputs, whole.outputs, meta).write(tmp_path / "copied")
     plain = Dataset(whole.table, whole.inputs, whole.outputs, {**whole.meta, "within": 0})
     plain.write(tmp_path / "plain")
-    found = {
+    by_name = {
         name: train(tmp_path / name, tmp_path / f"of-{name}", **QUICK_ENSEMBLE)
         for name in ("plain", "copied")
     }
-    said = [one.meta["training"].pop("repeated_rows") for one in found.values()]
-    assert said == [0, 2 * len(whole)]
-    assert torch.equal(found["plain"].genes, found["copied"].genes)
+    repeated = [one.meta["training"].pop("repeated_rows") for one in by_name.values()]
+    assert repeated == [0, 2 * len(whole)]
+    assert torch.equal(by_name["plain"].genes, by_name["copied"].genes)
     for name in ("training", "test_errors", "test_coverage"):
-        assert found["plain"].meta[name] == found["copied"].meta[name]
-    again = [evaluate(tmp_path / f"of-{name}", tmp_path / name) for name in found]
+        assert by_name["plain"].meta[name] == by_name["copied"].meta[name]
+    again = [evaluate(tmp_path / f"of-{name}", tmp_path / name) for name in by_name]
     assert again[0] == again[1]

@@ -14,7 +14,7 @@ def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, set
     table = evaluate(tmp_path / "s", tmp_path / "d")
     assert table["rows"] == 113
     ours, ideal = (
-        [found[name]["mean_absolute_error"] for name in ("dx", "dy", "dtheta")]
-        for found in (table["errors"], table["baseline"]["errors"])
+        [each_result[name]["mean_absolute_error"] for name in ("dx", "dy", "dtheta")]
+        for each_result in (table["errors"], table["baseline"]["errors"])
     )
     assert sum(a / b for a, b in zip(ours, ideal, strict=True)) / 3 < 0.85

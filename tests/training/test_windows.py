@@ -91,16 +91,16 @@ def test_windows_by_hand():
     time = torch.full((12,), 0.25, dtype=torch.float64)
     joined = torch.tensor([False, *[True] * 7, False, *[True] * 3])
     windows = windows_of(time, joined)
-    found = list(zip(*(part.tolist() for part in windows[:3]), strict=True))
+    result = list(zip(*(part.tolist() for part in windows[:3]), strict=True))
     # Of 0.25 s each row; of 1 s from each row on, or nearly so long; none across the break.
-    assert [f for f in found if f[2] == 0] == [(k, k + 1, 0) for k in range(12)]
-    assert [f for f in found if f[2] == 2] == [(k, k + 4, 2) for k in (0, 1, 2, 3, 4)] + [
+    assert [f for f in result if f[2] == 0] == [(k, k + 1, 0) for k in range(12)]
+    assert [f for f in result if f[2] == 2] == [(k, k + 4, 2) for k in (0, 1, 2, 3, 4)] + [
         (5, 8, 2),
         (8, 12, 2),
         (9, 12, 2),
     ]
-    assert [f for f in found if f[2] == 3] == [(0, 8, 3), (2, 8, 3)]
-    assert all(not first < 8 < end for first, end, _ in found)
+    assert [f for f in result if f[2] == 3] == [(0, 8, 3), (2, 8, 3)]
+    assert all(not first < 8 < end for first, end, _ in result)
     # Those of a length that do not overlap count as much as they last, of the longest.
     assert windows.weight[:12].tolist() == pytest.approx([0.25 / 2.0 / len(LENGTHS)] * 12)
 
@@ -108,8 +108,8 @@ def test_windows_by_hand():
 def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
     """Return a log of a robot of the drive model; commands change every 0.1 to 0.4 s."""
     count = round(seconds / dt)
-    drawn = np.clip(np.cumsum(rng.normal(0, 0.4, (count, 2)), 0) % 4 - 2, -1, 1)
-    commands = np.repeat(drawn, rng.integers(*held, count), axis=0)[:count]
+    random = np.clip(np.cumsum(rng.normal(0, 0.4, (count, 2)), 0) % 4 - 2, -1, 1)
+    commands = np.repeat(random, rng.integers(*held, count), axis=0)[:count]
     time = np.full(count, dt)
     tell = torch.tensor(commands)
     before = torch.cat([tell[:1], tell[:-1]])

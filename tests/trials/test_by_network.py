@@ -71,12 +71,12 @@ def test_a_network_drives_for_so_many_commands_and_its_rows_follow_one_another(f
 
 
 def test_what_does_not_go_together_is_refused(folder):
-    for options, said in (
+    for options, message in (
         (["--by-hand"], "--by-hand and --by-network do not go together"),
         (["--guided"], "--guided and --by-network do not go together"),
         (["--max-speed", 20], "--max-speed is not for --by-network: leave it out"),
     ):
-        assert said in str(record(folder, folder / "network", *options).exception)
+        assert message in str(record(folder, folder / "network", *options).exception)
     refused = str(record(folder, folder / "plan").exception)
     assert "drive it with neurosim run" in refused
     words = ["record", str(folder / "r"), "--by-hand", "--commands", "5"]

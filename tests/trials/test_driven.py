@@ -142,12 +142,12 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     task = GoTo(goals=(goal,), tolerance=0.03, heading_tolerance=0.09)
     # Straight on: as it is, it leads elsewhere; and what pushes the robot leads it farther away.
     family = FixedPlan(((40.0, 40.0, 2.0), None, None, None))
-    said = {
+    content = {
         "poses": [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]], "rest": [0.4, 0.0, 0.0], "fitness": 0.5,
         "completes": False,
     }  # fmt: skip
     folder = tmp_path / "c"
-    SavedController(family, np.empty(0), task.describe(), predicted=said).write(folder)
+    SavedController(family, np.empty(0), task.describe(), predicted=content).write(folder)
     push = Push(0.1, after=1.0, direction=-math.pi / 2)
     how = ReplanSettings(generations=20, draws=8)
     with VirtualRig(2, noise_seed=5, camera_size=SIZE, push=push) as rig:
@@ -279,11 +279,11 @@ def test_a_driver_asks_as_a_simulator_does():
 
     def drive():
         driver.begin()
-        found = []
+        results = []
         for step, (pose, reading) in enumerate(zip(poses, readings, strict=True)):
             named = {"sensor_0": reading[0], "sensor_1": reading[1]}
-            found.append(driver.react(Observation(0.1 * step, pose, named)))
-        return found
+            results.append(driver.react(Observation(0.1 * step, pose, named)))
+        return results
 
     first = drive()
     memory, goals, tensor = family.start(1), Goals(task.episode, 1), torch.from_numpy

@@ -29,15 +29,15 @@ TASK = GoTo(goals=((0.0, 0.0, 0.0),), within=0.02, tolerance=0.02)
 def drive(tmp_path):
     """Drive a controller in the virtual lab, from where it is put; return trial.json."""
 
-    def run(controller, put=None, *, blind=None, **options):
+    def run(controller, put=None, *, covered=None, **options):
         folder = controller.write(tmp_path / "c") or tmp_path / "c"
         with VirtualRig(1, noise_seed=3, start=put or controller.start, camera_size=SIZE) as rig:
             optics, calibration = rig.camera.optics, tmp_path / "calibration.json"
             CameraModel(
                 SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
             ).write(calibration)
-            if blind is not None:
-                _cover(rig, *blind)
+            if covered is not None:
+                _cover(rig, *covered)
             return run_trial(
                 folder,
                 tmp_path / "t",
@@ -68,8 +68,8 @@ def plan(*commands, start):
     about = {"perimeter": PERIMETER.describe()}
     given = FixedPlan(tuple(commands))
     evaluator = Evaluator(IdealWheels(), TASK, given)
-    drawn = evaluator.rollouts.draw(np.array([start]), 0)
-    poses = evaluator.run(np.empty((1, 0)), drawn).poses[0, 0].tolist()
+    sampled = evaluator.rollouts.draw(np.array([start]), 0)
+    poses = evaluator.run(np.empty((1, 0)), sampled).poses[0, 0].tolist()
     predicted = {"poses": poses[:-1], "rest": poses[-1], "fitness": 0.0, "completes": False}
     return SavedController(given, np.empty(0), TASK.describe(), start, predicted, about)
 
@@ -135,7 +135,7 @@ def test_where_the_guard_ignores_the_line_the_trial_says_so(drive):
 def test_a_plan_goes_on_unseen_and_a_controller_that_needs_its_pose_is_stopped(drive, tmp_path):
     open_loop = plan((30, 30, 3.0), start=(-0.6, 0.0, 0.0))
     _, pose = simulated(open_loop)
-    report = drive(open_loop, blind=(0.7, 1.9))
+    report = drive(open_loop, covered=(0.7, 1.9))
     assert report["stopped"] is None
     seen = np.array(report["actual"]["path"])
     assert np.diff(seen[:, 0]).max() > 1.1  # covered for so long
@@ -145,7 +145,7 @@ def test_a_plan_goes_on_unseen_and_a_controller_that_needs_its_pose_is_stopped(d
     family = Network(POSE_INPUTS, scale=30.0)
     weights = np.array([[0.0] * 4 + [3.0]] * 2).ravel()
     network = SavedController(family, weights, TASK.describe(), (-0.6, 0.0, 0.0))
-    report = drive(network, blind=(0.7, 2.5))
+    report = drive(network, covered=(0.7, 2.5))
     assert report["stopped"]["code"] == UNSEEN
     lost = report["stopped"]["time"] - report["stopped"]["unseen_since"]
     assert 0.9 < lost < 1.5

@@ -148,7 +148,7 @@ def test_the_options_are_there():
         "run": ("--guard-by",),
         "train": ("--sensors",),
     }.items():
-        said = CliRunner().invoke(cli, [command, "--help"]).output
-        assert all(option in said for option in options), said
-    said = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
-    assert all(option in said for option in ("--laps", "--within", "--direction", "--place"))
+        message = CliRunner().invoke(cli, [command, "--help"]).output
+        assert all(option in message for option in options), message
+    message = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
+    assert all(option in message for option in ("--laps", "--within", "--direction", "--place"))

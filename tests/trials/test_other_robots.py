@@ -40,9 +40,9 @@ class Ideal(Simulator):
     @property
     def domain(self):
         # Slowly: the robot is not as quick as this simulator.
-        shares = (0.4 if one.speed else 1.0 for one in self.takes.numbers)
-        pairs = zip(self.takes.numbers, shares, strict=True)
-        return {one.name: (share * one.low, share * one.high) for one, share in pairs}
+        fractions = (0.4 if one.speed else 1.0 for one in self.takes.numbers)
+        pairs = zip(self.takes.numbers, fractions, strict=True)
+        return {one.name: (fraction * one.low, fraction * one.high) for one, fraction in pairs}
 
     def start(self, pose, generator=None):
         return pose

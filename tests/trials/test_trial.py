@@ -47,12 +47,12 @@ def make(folder, *, scale=1.0, cut_at=None):
     with recording.command_log() as log:
         for number, (command, step) in enumerate(zip(COMMANDS, STEPS, strict=True)):
             log.append(1, number, "command", now, *command)
-            share = 0.5 if cut_at == number else 1.0
-            for part in np.arange(now, now + share * command[2] - 1e-9, 1 / 30):
+            fraction = 0.5 if cut_at == number else 1.0
+            for part in np.arange(now, now + fraction * command[2] - 1e-9, 1 / 30):
                 times.append(part)
                 poses.append(se2.compose(pose, se2.arc(scale * step, (part - now) / command[2])))
-            pose = se2.compose(pose, se2.arc(scale * step, share))
-            now += share * command[2]
+            pose = se2.compose(pose, se2.arc(scale * step, fraction))
+            now += fraction * command[2]
             if cut_at == number:
                 log.append(1, number, "cut", now, 0, 0, None)
                 break

@@ -59,19 +59,19 @@ def recorded(folder, *options):
          *map(str, options)],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    said = []
+    messages = []
 
     def hear():
-        said.extend(iter(child.stderr.readline, ""))
+        messages.extend(iter(child.stderr.readline, ""))
 
     thread = threading.Thread(target=hear, daemon=True)
     thread.start()
     try:
-        found = wait_until(
-            lambda: re.search(r"Drive at (\S+)", "".join(said)) or child.poll(), "the page"
+        match = wait_until(
+            lambda: re.search(r"Drive at (\S+)", "".join(messages)) or child.poll(), "the page"
         )
-        assert not isinstance(found, int), said
-        yield child, found[1], said
+        assert not isinstance(match, int), messages
+        yield child, match[1], messages
     finally:
         child.kill()
         child.communicate()
@@ -101,19 +101,19 @@ def frames(folder):
 
 
 #: What keys do to a robot on two wheels at 60 % of its speed.
-WAYS = {"KeyW": (60, 60), "KeyA": (-60, 60), "ArrowDown": (-60, -60), "ArrowRight": (60, -60)}
+DRIVES = {"KeyW": (60, 60), "KeyA": (-60, 60), "ArrowDown": (-60, -60), "ArrowRight": (60, -60)}
 
 
 def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
     """The lab's NXT, tracked as it is driven."""
     folder = tmp_path / "r"
     with recorded(tmp_path, "--calibration", "calibration.json", "--max-speed", 60) as (
-        child, url, said,
+        child, url, output,
     ):  # fmt: skip
         tab.open(url)
         tab.until(f"{STANDING} === 'ready'")
-        for key in (*WAYS, *WAYS, *WAYS):
-            change(tab, folder, WAYS[key], "Down", key)
+        for key in (*DRIVES, *DRIVES, *DRIVES):
+            change(tab, folder, DRIVES[key], "Down", key)
             change(tab, folder, REST, "Up", key)
         # Two keys, and at half the speed.
         change(tab, folder, (60, 0), "Down", "KeyW", "KeyD")
@@ -132,13 +132,13 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
         sent = len([line for line in motor(folder) if line.kind == "command"])
         tab.until(f"document.getElementById('count').textContent === '{sent}'")
         tab.click_on("#end")
-        assert child.wait(timeout=PATIENCE) == 0, said
+        assert child.wait(timeout=PATIENCE) == 0, output
     tab.open("about:blank")
     tab.complaints.clear()  # the browser's word on the server that went away
     # Each press is a line at the time of its press; what was pressed follows in the same order.
     lines = [line for line in motor(folder) if line.kind == "command" and any(line.numbers)]
     pressed = [numbers for numbers, _ in groupby(line.numbers for line in lines)]
-    expected = [*list(WAYS.values()) * 3, (60, 0), (30, 0), (60, 60), (-60, -60)]
+    expected = [*list(DRIVES.values()) * 3, (60, 0), (30, 0), (60, 60), (-60, -60)]
     left = iter(pressed)
     assert all(numbers in left for numbers in expected), pressed
     assert {*pressed} <= {*expected}
@@ -152,8 +152,8 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
     assert "Rows follow one another" in made.stdout, made.stderr
     dataset = Dataset.read(tmp_path / "dataset")
     assert len(dataset) >= 20
-    told = {*map(tuple, dataset.table[["left", "right"]].to_numpy().tolist())}
-    assert {*WAYS.values()} <= told
+    commanded = {*map(tuple, dataset.table[["left", "right"]].to_numpy().tolist())}
+    assert {*DRIVES.values()} <= commanded
     learned = words("train", "dataset", "-o", "simulator", cwd=tmp_path)
     assert learned.returncode == 0, learned.stderr
 
@@ -161,7 +161,7 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_leaves_what_was_driven(tab, tmp_path):
     """An omnidirectional base, with a lever for each of its numbers; filmed, and tracked later."""
-    with recorded(tmp_path, "--robot", "virtual-omni") as (child, url, said):
+    with recorded(tmp_path, "--robot", "virtual-omni") as (child, url, output):
         tab.open(url)
         tab.until(f"{STANDING} === 'ready'")
         assert tab.run("document.getElementById('status').textContent") == "filmed, not tracked"
@@ -175,7 +175,7 @@ def test_ctrl_c_leaves_what_was_driven(tab, tmp_path):
             change(tab, tmp_path / "r", (0.0,) * 3, "Up", key)
         change(tab, tmp_path / "r", (0.0, 0.0, 0.5 * limits[2]), "Down", "KeyQ")
         child.send_signal(signal.SIGINT)
-        assert child.wait(timeout=PATIENCE) == 130, said
+        assert child.wait(timeout=PATIENCE) == 130, output
         tab.key("Up", "KeyQ")
         tab.until("document.body.dataset.ended")
     tab.open("about:blank")

@@ -351,27 +351,27 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
         tab.click_on("#says button")
         tab.until(f"{SAYS}.includes('place.json is written')")
         assert tab.complaints == []
-    found = Place.read(tmp_path / "place.json")
-    assert (found.board.length, found.board.width) == (1.3, 1.0)
+    result = Place.read(tmp_path / "place.json")
+    assert (result.board.length, result.board.width) == (1.3, 1.0)
     # The browser rounds a click down to a pixel of the screen, here 2.5 mm.
     for name in ("outline", "walls", "obstacles", "lights"):
-        assert np.array(getattr(found, name)) == pytest.approx(
+        assert np.array(getattr(result, name)) == pytest.approx(
             np.array(getattr(DRAWN, name)), abs=0.004
         )
-    for line, true in zip(found.lines, DRAWN.lines, strict=True):
+    for line, true in zip(result.lines, DRAWN.lines, strict=True):
         assert np.array(line.points) == pytest.approx(np.array(true.points), abs=0.004)
         assert (line.width, line.closed) == (true.width, true.closed)
-    assert found.board.line_inset == pytest.approx(0.06, abs=0.004)
-    assert found.board.line_width == 0.02
-    assert found.start[:2] == pytest.approx(DRAWN.start[:2], abs=0.004)
-    assert found.start[2] == pytest.approx(DRAWN.start[2], abs=0.03)
+    assert result.board.line_inset == pytest.approx(0.06, abs=0.004)
+    assert result.board.line_width == 0.02
+    assert result.start[:2] == pytest.approx(DRAWN.start[:2], abs=0.004)
+    assert result.start[2] == pytest.approx(DRAWN.start[2], abs=0.03)
     words = ["view", str(tmp_path / "place.json"), "-o", str(tmp_path / "place.png")]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     # It is shown when it is given again, and goes on from there.
     (tmp_path / "again").mkdir()
     with (
-        Scene(tmp_path / "again", around=DRAWN, place=found) as scene,
+        Scene(tmp_path / "again", around=DRAWN, place=result) as scene,
         PageServer(scene.viewer) as server,
     ):
         tab.open(server.url)
@@ -379,5 +379,5 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
         draw(tab, scene, "light", (0.0, -0.35), says="the light is drawn")
         tab.click_on("button[data-save=place]")
         tab.until(f"{SAYS}.includes('place.json is written')")
-        assert Place.read(tmp_path / "again" / "place.json").lights[:1] == found.lights
+        assert Place.read(tmp_path / "again" / "place.json").lights[:1] == result.lights
     tab.complaints.clear()  # the browser's word on the servers that went away

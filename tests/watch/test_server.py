@@ -125,10 +125,10 @@ def test_others_are_refused(server, viewer, headers):
         ("picture", "GET", None),
         ("colour", "POST", {"which": "front", "u": 50, "v": 50}),
     ):
-        status, _, said = ask(server, what, method, body, **headers)
+        status, _, message = ask(server, what, method, body, **headers)
         assert status == 403
-        assert b"\xff\xd8" not in said
-        assert server.url.split("/")[3].encode() not in said
+        assert b"\xff\xd8" not in message
+        assert server.url.split("/")[3].encode() not in message
     assert viewer.asked == []
 
 
@@ -225,7 +225,7 @@ def test_nothing_can_be_set_where_nothing_may_be(tmp_path):
         assert ask(server, "picture")[0] == 200
         for what in ("colour", "corner", "board", "clear", "save", "draw", "finish", "undo"):
             reply = json.loads(ask(server, what, "POST", {"which": "front", "u": 50, "v": 50})[2])
-            assert "recorded" in reply["error"]
+            assert "recording" in reply["error"]
 
 
 def test_a_port_that_is_taken_is_said(viewer):

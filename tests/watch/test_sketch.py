@@ -12,7 +12,7 @@ from neurosim.watch.sketch import ANY_NUMBER, Sketch
 BARE = Place(board=Board(2.0, 1.0, line_width=0.0))
 
 
-def drawn(part, *points, width=0.02, place=BARE):
+def sketched(part, *points, width=0.02, place=BARE):
     sketch = Sketch(place)
     for point in points:
         says = sketch.click(part, point, width)
@@ -25,31 +25,31 @@ def drawn(part, *points, width=0.02, place=BARE):
 
 def test_each_part_by_hand():
     corners = ((-0.5, -0.4), (0.5, -0.4), (0.0, 0.4))
-    assert drawn("outline", *corners).outline == corners
-    assert drawn("wall", (0.1, 0.2), (0.3, 0.2)).walls == ((0.1, 0.2, 0.3, 0.2),)
-    [(x, y, radius)] = drawn("cylinder", (0.1, 0.2), (0.13, 0.24)).obstacles
+    assert sketched("outline", *corners).outline == corners
+    assert sketched("wall", (0.1, 0.2), (0.3, 0.2)).walls == ((0.1, 0.2, 0.3, 0.2),)
+    [(x, y, radius)] = sketched("cylinder", (0.1, 0.2), (0.13, 0.24)).obstacles
     assert (x, y, radius) == (0.1, 0.2, pytest.approx(0.05))
     # The third click says how deep a box is, and on which side; a point anywhere on it will do.
-    assert drawn("box", (0.0, 0.0), (0.2, 0.0), (0.7, -0.1)).walls == (
+    assert sketched("box", (0.0, 0.0), (0.2, 0.0), (0.7, -0.1)).walls == (
         (0.0, 0.0, 0.2, 0.0), (0.2, 0.0, 0.2, -0.1), (0.2, -0.1, 0.0, -0.1), (0.0, -0.1, 0.0, 0.0),
     )  # fmt: skip
-    turned = drawn("box", (0.0, 0.0), (0.3, 0.4), (-0.08, 0.06)).walls
+    turned = sketched("box", (0.0, 0.0), (0.3, 0.4), (-0.08, 0.06)).walls
     assert turned[1:3] == ((0.3, 0.4, 0.22, 0.46), (0.22, 0.46, -0.08, 0.06))
     for part, is_closed in (("line", False), ("closed line", True)):
-        [line] = drawn(part, *corners, width=0.03).lines
+        [line] = sketched(part, *corners, width=0.03).lines
         assert line == Line(corners, 0.03, is_closed)
-    assert drawn("light", (0.1, 0.2)).lights == ((0.1, 0.2),)
-    assert drawn("start", (0.1, 0.2), (0.1, 0.5)).start == (0.1, 0.2, round(math.pi / 2, 4))
+    assert sketched("light", (0.1, 0.2)).lights == ((0.1, 0.2),)
+    assert sketched("start", (0.1, 0.2), (0.1, 0.5)).start == (0.1, 0.2, round(math.pi / 2, 4))
     # 8 cm from the nearer edge.
-    assert drawn("perimeter", (0.92, 0.1)).board == Board(2.0, 1.0, 0.08, 0.02)
-    assert drawn("perimeter", (0.3, -0.42)).board == Board(2.0, 1.0, 0.08, 0.02)
+    assert sketched("perimeter", (0.92, 0.1)).board == Board(2.0, 1.0, 0.08, 0.02)
+    assert sketched("perimeter", (0.3, -0.42)).board == Board(2.0, 1.0, 0.08, 0.02)
 
 
 def test_a_place_grows_and_there_is_one_outline_and_one_start():
     place = BARE
     for y in (0.1, 0.2):
-        place = drawn("wall", (0.0, y), (0.1, y), place=place)
-        place = drawn("start", (-0.3, y), (0.0, y), place=place)
+        place = sketched("wall", (0.0, y), (0.1, y), place=place)
+        place = sketched("start", (-0.3, y), (0.0, y), place=place)
     assert len(place.walls) == 2
     assert place.start == (-0.3, 0.2, 0.0)
 

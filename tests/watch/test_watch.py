@@ -42,12 +42,12 @@ def watching(*words, cwd):
         text=True,
     )
     try:
-        said = ""
-        while not said.rstrip().endswith("}"):
+        message = ""
+        while not message.rstrip().endswith("}"):
             line = child.stdout.readline()
             assert line, child.stderr.read()
-            said += line
-        yield child, json.loads(said)["url"]
+            message += line
+        yield child, json.loads(message)["url"]
     finally:
         child.kill()
         child.communicate()
@@ -93,11 +93,11 @@ def test_the_labs_camera_shows_a_robot_that_drives_and_films_it(tmp_path):
         wait_until(lambda: np.hypot(*np.subtract(front() or first, first)) >= 5, "its drive")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
-        said = child.stderr.read()
+        stderr = child.stderr.read()
     with Video(tmp_path / "film.avi") as film:
         assert film.size == (320, 240)
         frames = sum(1 for _ in film)
-    assert said == f"film.avi: {frames} frames. Next: neurosim track film.avi -o POSES\n"
+    assert stderr == f"film.avi: {frames} frames. Next: neurosim track film.avi -o POSES\n"
 
 
 @pytest.mark.slow
@@ -112,21 +112,21 @@ def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monk
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 1
-    said = capsys.readouterr().err
-    assert said == f"neurosim: {ended[0]}\n"
-    assert "stopped delivering" in said
+    message = capsys.readouterr().err
+    assert message == f"neurosim: {ended[0]}\n"
+    assert "stopped delivering" in message
 
 
 def refused(monkeypatch, capsys, *words):
     monkeypatch.setattr(sys, "argv", ["neurosim", "watch", *map(str, words)])
     with pytest.raises(SystemExit) as stop:
         main()
-    out, said = capsys.readouterr()
+    out, message = capsys.readouterr()
     assert stop.value.code == 1
     assert out == ""
-    assert said.startswith("neurosim: ")
-    assert said.count("\n") == 1
-    return said
+    assert message.startswith("neurosim: ")
+    assert message.count("\n") == 1
+    return message
 
 
 def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):

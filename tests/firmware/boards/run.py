@@ -91,10 +91,10 @@ class Poll:
                 pwm.turned -= 1
                 press(None)
         self.last = now
-        found = self.real.poll(milliseconds)
-        if found and found[0][1] & 16:  # hung up
+        result = self.real.poll(milliseconds)
+        if result and result[0][1] & 16:  # hung up
             sys.exit()
-        return found
+        return result
 
 
 class Motor:
