@@ -5,7 +5,7 @@ Small artefacts of every kind are made. In each case one file of them is damaged
 
   - anything but an exit with one sentence or a success comes out (a traceback, a crash);
   - it takes longer than 10 s, or more than 1 GB of memory beyond what the worker had;
-  - an output stands there although the command failed, or something beside it was changed.
+  - an output stands there although the command failed, or something next to it was changed.
 
 The cases are drawn from the seed: ``--only 17`` repeats case 17 alone and shows what happens.
 
@@ -50,14 +50,14 @@ class Target:
     Attributes:
         line: the words of the command; those that name something in ``reads`` stand for it.
         reads: files and folders that are damaged, one in a case.
-        beside: others that it needs.
+        needs: other files that it needs.
         lab: whether making these takes the virtual lab, which takes a minute.
         weight: how often it is drawn, against the others.
     """
 
     line: str
     reads: tuple[str, ...]
-    beside: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
     lab: bool = False
     weight: float = 1.0
 
@@ -189,7 +189,7 @@ def case(
     target = rng.choices(targets, [one.weight for one in targets])[0]
     work = scratch / "work"
     work.mkdir(parents=True)
-    for name in dict.fromkeys((*target.reads, *target.beside)):
+    for name in dict.fromkeys((*target.reads, *target.needs)):
         _copy(made / name, work / name)
     damaged = rng.choice([file for name in target.reads for file in _files(work / name)])
     what = damage(damaged, rng)
@@ -207,7 +207,7 @@ def case(
     if not fault and code and words[0] not in KEEPS and any(work.glob("out*")):
         fault = "an output stands there although the command failed"
     if not fault and _state(scratch, words) != before:
-        fault = "something beside the output was changed"
+        fault = "something next to the output was changed"
     shutil.rmtree(work)
     ended = "fault" if fault else "refused" if code else "success"
     return {"line": target.line, "what": what, "ended": ended, "fault": fault}
@@ -283,7 +283,7 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _state(scratch: Path, words: Sequence[str]) -> set[str]:
-    """Return what stands beside the folder in which a command works."""
+    """Return the files next to the folder in which a command works."""
     return {path.name for path in scratch.iterdir()} | {path.name for path in
             scratch.parent.iterdir() if path.name == "out"}  # fmt: skip
 
@@ -342,7 +342,7 @@ def _work(made: Path, targets: Sequence[Target], options: argparse.Namespace) ->
         for target in targets:  # whole artefacts first, so that every loop is compiled
             work = Path(scratch) / "work"
             work.mkdir()
-            for name in dict.fromkeys((*target.reads, *target.beside)):
+            for name in dict.fromkeys((*target.reads, *target.needs)):
                 _copy(made / name, work / name)
             code, message, fault = call(target.line.split(), work)
             if code or fault:

@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 #: Lags and delays that the lagged models are tried with, s.
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
-#: Windows that lengths of the Gaussian process are found with, and that it uses.
-FOUND, USED = 150, 500
+#: Windows that fit the lengths of the Gaussian process, and windows that it uses.
+FITTED_ON, USED = 150, 500
 NETWORKS, WIDTH, EPOCHS, PATIENCE = 5, 64, 400, 40
 #: A step of PETS, s, and its particles.
 PETS_STEP, PARTICLES = 0.25, 200
@@ -56,20 +56,20 @@ class Lagged:
         self._scale = np.abs(commands).max((0, 1))
         middle = se2.mid_turn(moved)
         chord = np.sinc(moved[:, 2:] / 2 / np.pi)
-        self._found: list[tuple] = [(np.inf,), (np.inf,)]
+        self._best: list[tuple] = [(np.inf,), (np.inf,)]
         for lag in LAGS:
             for delay in DELAYS:
-                distances = self._ways(commands, lag, delay, spans).sum(1)
+                distances = self._distances(commands, lag, delay, spans).sum(1)
                 targets = ((distances * chord, middle[:, :2]), (distances, moved[:, 2:]))
                 for kind, (x, y) in enumerate(targets):
                     pull = 1e-4 * len(x) * np.diag((x**2).mean(0) + 1e-12)
                     weights = np.linalg.solve(x.T @ x + pull, x.T @ y)
                     error = np.abs(x @ weights - y).sum()
-                    if error < self._found[kind][0]:
-                        self._found[kind] = (error, lag, delay, weights)
+                    if error < self._best[kind][0]:
+                        self._best[kind] = (error, lag, delay, weights)
         return self
 
-    def _ways(self, commands: Array, lag: float, delay: float, spans: Array | None) -> Array:
+    def _distances(self, commands: Array, lag: float, delay: float, spans: Array | None) -> Array:
         """Return actuators' speeds (and products of two) times time of steps, [W, K', F]."""
         late, u = round(delay / self._step), commands / self._scale
         if late:
@@ -89,8 +89,8 @@ class Lagged:
     def predict(self, commands: Array, spans: Array | None = None) -> Array:
         """Return the displacements [W, 3] of windows of any length."""
         parts = [
-            self._ways(commands, lag, delay, spans) @ weights
-            for _, lag, delay, weights in self._found
+            self._distances(commands, lag, delay, spans) @ weights
+            for _, lag, delay, weights in self._best
         ]
         pose = np.zeros((len(commands), 3))
         for twist in np.moveaxis(np.concatenate(parts, 2), 1, 0):
@@ -173,7 +173,7 @@ def _process(x: Array, y: Array, seed: int):
     for own in y.T:
         kernel = ConstantKernel(1.0) * RBF(np.full(x.shape[1], 3.0), (0.3, 300.0))
         kernel += WhiteKernel(0.1, (1e-4, 2.0))
-        few, many = order[:FOUND], order[:USED]
+        few, many = order[:FITTED_ON], order[:USED]
         result = GaussianProcessRegressor(kernel).fit(x[few], own[few]).kernel_
         models.append(GaussianProcessRegressor(result, optimizer=None).fit(x[many], own[many]))
 

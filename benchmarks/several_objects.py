@@ -59,9 +59,9 @@ def main() -> None:
         return
     for row in rows:
         print(
-            f"{row['place']:22} {row['readings']:10} rms {row['everywhere']:.4f}, with two objects "
-            f"within {1000 * NEAR:.0f} mm ({100 * row['share_two_near']:.0f} % of {row['poses']} "
-            f"poses) {row['two_near']:.4f}"
+            f"{row['place']:22} {row['readings']:10} rms {row['everywhere']:.4f}, "
+            f"with two objects within {1000 * NEAR:.0f} mm {row['two_near']:.4f} "
+            f"({100 * row['fraction_two_near']:.0f} % of {row['poses']} poses)"
         )
 
 
@@ -85,7 +85,7 @@ def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> lis
     for name in off[0]:
         error = np.concatenate([each[name] for each in off])
         rows.append({"place": place, "readings": name, "poses": len(both)})
-        rows[-1] |= {"share_two_near": float(both.mean())}
+        rows[-1] |= {"fraction_two_near": float(both.mean())}
         rows[-1] |= {"everywhere": rms(error), "two_near": rms(error[both])}
     return rows
 

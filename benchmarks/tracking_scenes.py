@@ -154,7 +154,7 @@ class Clip:
         self._ground, self._light = scene.paint_ground(
             self.optics.plane_map(0.0), scene.grain(rng, room=1.5), 0.0, 0.18
         )
-        self._still_colour, self._still_share = None, None
+        self._still_colour, self._still_fraction = None, None
         #: What the robot carries, in a word.
         self.carried = "pair" if tag is None else f"{tag.dictionary}-{tag.number}-{side}"
         self._tag_side = None if tag is None else side

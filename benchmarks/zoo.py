@@ -413,19 +413,19 @@ class Known:
 
     def __init__(self, path: Path | None):
         self._path = path
-        self._found: dict[str, dict] = {}
+        self._results: dict[str, dict] = {}
         if path is not None and path.exists():
-            self._found = json.loads(path.read_text(encoding="utf-8"))
+            self._results = json.loads(path.read_text(encoding="utf-8"))
 
     def get(self, key: str) -> dict | None:
         """Return what is known of a key."""
-        return self._found.get(key)
+        return self._results.get(key)
 
     def put(self, key: str, result: dict) -> None:
         """Keep a result, in the file too."""
-        self._found[key] = result
+        self._results[key] = result
         if self._path is not None:
-            files.write_text(self._path, json.dumps(self._found, indent=0))
+            files.write_text(self._path, json.dumps(self._results, indent=0))
 
 
 def measure(

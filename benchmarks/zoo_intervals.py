@@ -141,7 +141,7 @@ def of_log(name: str, count: int, seed: int) -> dict[str, list]:
     for length in logs.lengths_of(robot):
         windows = logs.cut(robot.held_out, length, logs.APART, WINDOWS)
         sampled = logs.samples(simulator, windows, OF_WINDOWS, seed)[1]
-        fractions.append(_shares(central(sampled, windows.moved).T))
+        fractions.append(_fractions(central(sampled, windows.moved).T))
     return {"windows": np.mean(fractions, axis=0).tolist()}
 
 
@@ -158,13 +158,13 @@ def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
         generator = torch.Generator().manual_seed(seed)
         given = simulator.chained(torch.tensor(fresh.x))
         sampled = draw_displacements(simulator, given, DRAWS, generator).numpy()
-        single = _shares(central(sampled, fresh.y).T)
+        single = _fractions(central(sampled, fresh.y).T)
         results[kind] = np.concatenate([single, _after_ten(simulator, given, fresh, generator)])
         results[f"{kind}, parts"] = _of_parts(simulator, given, fresh, rng, generator)
     return {kind: fractions.tolist() for kind, fractions in results.items()}
 
 
-def _shares(ranks: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fractions(ranks: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return fractions [K, L] of ranks [K, N] that are at most LEVELS."""
     return np.array([[(row <= level).mean() for level in LEVELS] for row in ranks])
 
@@ -183,7 +183,7 @@ def _of_parts(
     cut = given.clone()
     cut[:, simulator.columns.duration] *= torch.tensor(time / fresh.x[:, -1])
     sampled = draw_displacements(simulator, cut, DRAWS, generator).numpy()
-    return _shares(central(sampled, moved).T)
+    return _fractions(central(sampled, moved).T)
 
 
 def _after_ten(
@@ -205,7 +205,7 @@ def _after_ten(
         actual = se2.compose(actual, torch.tensor(fresh.y[step::ROW][:count]))
     poses, ends = sampled.unflatten(0, (DRAWS, count)).numpy(), actual.numpy()
     heading = central(poses[..., 2:], ends[:, 2:])[:, 0]
-    return _shares(np.stack([region(poses[..., :2], ends[:, :2]), heading]))
+    return _fractions(np.stack([region(poses[..., :2], ends[:, :2]), heading]))
 
 
 if __name__ == "__main__":

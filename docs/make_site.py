@@ -1,8 +1,8 @@
 """Build the site: python docs/make_site.py, or make docs.
 
-The pages stay where they are. This script copies them to build/docs, with links that work in the
-site, and adds the notebooks and the reference. Zensical makes site/ of these. The navigation is
-that of docs/index.md. A broken link is an error.
+The pages stay where they are, and the README is the first one. This script copies them to
+build/docs, with links that work in the site, and adds the notebooks and the reference. Zensical
+makes site/ of these. The navigation is that of docs/index.md. A broken link is an error.
 """
 
 from __future__ import annotations
@@ -93,6 +93,8 @@ class Pages:
 def place(path: str) -> str:
     """Return where a file or folder of the repository is in the site."""
     folder, name = posixpath.split(path)
+    if path in ("README.md", "docs/index.md"):
+        return "index.md" if path == "README.md" else "pages.md"
     if folder == "docs":
         return name
     if name.endswith(".ipynb"):
@@ -150,7 +152,8 @@ def notebook(source: Path, target: Path, linked: Callable[[str], str] = str) -> 
 
 def navigation(pages: Pages) -> list[dict[str, Any]]:
     """Return the sections and pages that docs/index.md lists, for Zensical."""
-    sections: list[dict[str, Any]] = [{"Home": pages.add("docs/index.md")}]
+    home = [{"neurosim": pages.add("README.md")}, {"All pages": pages.add("docs/index.md")}]
+    sections: list[dict[str, Any]] = [{"Home": home}]
     text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
         title, _, items = section.partition("\n")
@@ -192,6 +195,7 @@ def main(site: Path = ROOT / "site", build: Path = ROOT / "build" / "docs") -> N
     shutil.rmtree(build, ignore_errors=True)
     pages = Pages(build / "pages")
     nav = navigation(pages)
+    pages.add("docs/site.css")
     pages.write()
     python = {
         "paths": [str(ROOT)],

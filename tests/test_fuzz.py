@@ -90,7 +90,7 @@ def test_numbers_at_the_ends_of_their_ranges_work(made, tmp_path, line):
 @pytest.mark.parametrize("line", ["evaluate simulator dataset", "view tables --controller net"])
 def test_json_that_nothing_can_work_with(made, tmp_path, text, line):
     target = targets(line)[0]
-    for name in (*target.reads, *target.beside):
+    for name in (*target.reads, *target.needs):
         shutil.copytree(made / name, tmp_path / name)
     path = next((tmp_path / target.reads[0]).glob("*.json"))
     path.write_text(text)

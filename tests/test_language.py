@@ -5,12 +5,15 @@ from pathlib import Path
 
 import click
 import pytest
-from plain_words import NOT_IN_MESSAGES, NOT_NAMES
+from plain_words import NAMES, NOT_IN_DOCSTRINGS, NOT_IN_MESSAGES, NOT_IN_NAMES
 
 from neurosim.cli.main import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted(path for name in ("neurosim", "tracking") for path in (ROOT / name).rglob("*.py"))
+NAMED = FILES + sorted(
+    path for name in ("benchmarks", "tests") for path in (ROOT / name).rglob("*.py")
+)
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -57,21 +60,41 @@ def test_messages():
     assert not hits
 
 
+def test_docstrings():
+    hits = [
+        f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {hit.group()!r} in {text[:100]}"
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, DOCUMENTED)
+        and (text := " ".join((ast.get_docstring(node) or "").split()))
+        if (hit := NOT_IN_DOCSTRINGS.search(text))
+    ]
+    assert not hits
+
+
 def names(source):
-    """Give the names of variables and arguments, with their lines."""
+    """Give the names that a file gives to things, and the keys of its dictionaries, with lines."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.arg):
             yield node.lineno, node.arg
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
+        elif isinstance(node, DOCUMENTED[1:]) and not node.name.startswith("test_"):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.Dict):
+            for key in node.keys:
+                if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                    yield key.lineno, key.value
 
 
 def test_names():
     hits = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
-        for path in FILES
+        for path in NAMED
         for line, name in names(path.read_text(encoding="utf-8"))
-        if name in NOT_NAMES
+        if name not in NAMES and NOT_IN_NAMES & set(name.lower().split("_"))
     ]
     assert not hits
 
@@ -96,4 +119,28 @@ def test_help():
 )
 def test_patterns(text):
     assert NOT_IN_MESSAGES.search(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "What it is.",
+        "Return what it is.",
+        "A robot. What it does.",
+        "the speed it is told",
+        "it is none",
+    ],
+)
+def test_patterns_of_docstrings(text):
+    assert NOT_IN_DOCSTRINGS.search(text)
+    assert not NOT_IN_DOCSTRINGS.search("Return the speed; say what is wrong where there is none.")
+
+
+@pytest.mark.parametrize("text", ["found = 1", "def way(): pass", "{'said': 1}", "a.told_left = 1"])
+def test_patterns_of_names(text):
+    ((_, name),) = names(text)
+    assert NOT_IN_NAMES & set(name.split("_"))
+
+
+def test_good_messages_pass():
     assert not NOT_IN_MESSAGES.search("there is no controller of this name: what did you give?")

@@ -66,8 +66,10 @@ def test_all_pages_are_there(site):
     expected = {f"{path.stem}.html" for path in (ROOT / "docs").glob("*.md")}
     expected |= {f"tutorials/{path.stem}.html" for path in (ROOT / "notebooks").glob("*.ipynb")}
     expected |= {f"reference/commands/{name}.html" for name in cli.commands}
+    expected.add("pages.html")
     assert expected <= set(pages)
-    # Each page has the navigation to all of them.
+    # The first page is the README, and each page has the navigation to all of them.
+    assert "A robot builds its own simulator." in pages["index.html"].text
     assert expected <= {posixpath.normpath(link) for link in pages["pipeline.html"].links}
 
 

@@ -157,7 +157,7 @@ def back_to_reality(
         written = digest(simulator)
         simulator = read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
-    fractions = simulated.shares_of(start_genes(controller) if start is None else start)
+    fractions = simulated.fractions_of(start_genes(controller) if start is None else start)
     if start is not None:
         controller.check(np.asarray(start, np.float64))
     begun = {

@@ -43,7 +43,7 @@ class Simulated:
         self._simulator, self._task, self._controller = simulator, task, controller
         self.parameters: tuple[Adjustable, ...] = tuple(simulator.parameters)
         self.genes = controller.genes
-        self.as_is = np.array([one.share(one.value) for one in self.parameters])
+        self.as_is = np.array([one.fraction(one.value) for one in self.parameters])
         self.tried = 0
         self.steps = self._evaluator(self.as_is).steps  # refuses what does not fit
 
@@ -52,7 +52,7 @@ class Simulated:
         low, high = self._controller.gene_range
         return low + (high - low) * np.asarray(fractions, np.float64)
 
-    def shares_of(self, genes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fractions_of(self, genes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fractions [..., G] of genes [..., G].
 
         Raises:

@@ -117,7 +117,7 @@ def units_of(pilot: Pilot) -> int:
 
 @kernel(fastmath=_MATHS, inline="always")
 def observe(pilot, x, y, theta, goal, time, readings, seen):
-    """Write what a network observes; return the index of the next goal.
+    """Write a network's observations; return the index of the next goal.
 
     Args:
         pilot: :class:`Pilot`.
@@ -170,7 +170,7 @@ def _tanh(x, scale):
 
 @kernel(fastmath=_MATHS, forceinline=True)
 def act(pilot, genes, values, command):
-    """Write what a network commands.
+    """Write a network's commands.
 
     Args:
         pilot: :class:`Pilot`.

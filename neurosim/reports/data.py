@@ -117,7 +117,7 @@ def _timing(artefact: Artefact) -> list[Block]:
 
 
 def _colours(artefact: Artefact) -> list[Block]:
-    """Write what the camera made of the markers' colours, session by session."""
+    """Write the markers' colours as the camera saw them, session by session."""
     rows = [
         [
             f"{seen['recording']}, {seen['session']}",

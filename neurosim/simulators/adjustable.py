@@ -50,7 +50,7 @@ class Adjustable:
             value = self.low + (self.high - self.low) * fraction
         return min(max(value, self.low), self.high)
 
-    def share(self, value: float) -> float:
+    def fraction(self, value: float) -> float:
         """Return at which fraction of the range a value is.
 
         Raises:

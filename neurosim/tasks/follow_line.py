@@ -23,8 +23,8 @@ from neurosim.tasks.base import Interval, Judgement, Task
 class FollowLine(Task):
     """Follow a closed line on the board.
 
-    Fitness is the way made along the line in laps, in the direction in which the robot was put
-    down, until it loses the line or the time is up. The way back counts against it.
+    Fitness is the way made along the line in laps, in the direction in which the robot was placed,
+    until it loses the line or the time is up. The way back counts against it.
 
     Attributes:
         place: Place with the line, a JSON file or a name: rectangle or ellipse, of 1.4 x 0.8 m

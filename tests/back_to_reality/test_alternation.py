@@ -50,7 +50,7 @@ def test_the_simulator_gives_what_was_worked_out_by_hand():
     """Mass 1, friction 0.1: pushed by 0.5 twice it goes 0.8 ahead, and 0.35 to the side."""
     model = simulated()
     assert model.fitness(START[None], model.as_is) == pytest.approx([0.8 - 0.35])
-    heavy = np.array([model.parameters[0].share(2.0), model.parameters[1].share(0.2)])
+    heavy = np.array([model.parameters[0].fraction(2.0), model.parameters[1].fraction(0.2)])
     assert model.values(heavy) == pytest.approx([2.0, 0.2])
     expected = [reality_of()(START), reality_of()(np.array([0.9, 0.2]))]
     genes = np.stack([START, [0.9, 0.2]])
@@ -195,7 +195,7 @@ def test_l3_goes_on_from_the_adapted_simulator(tmp_path):
     named = [asked[n][1][0] for n in begins]
     model = simulated()
     first = parameters.cycles[0]["L3"]["parameters"][0]
-    after = [one.share(first[one.name]) for one in model.parameters]
+    after = [one.fraction(first[one.name]) for one in model.parameters]
     for expected, at in zip([model.as_is, np.array(after)], named, strict=True):
         np.testing.assert_allclose(at, bits(expected))
     assert named[0].tolist() != named[1].tolist()
@@ -550,9 +550,9 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(UserError, match="has no parameters that could be adjusted"):
         Simulated(SlippingWheels(), Slide(), Push())
     with pytest.raises(UserError, match="outside of 0 to 1"):
-        simulated().shares_of(np.array([0.5, 1.5]))
+        simulated().fractions_of(np.array([0.5, 1.5]))
     with pytest.raises(UserError, match="expected 2 genes"):
-        simulated().shares_of(np.array([0.5]))
+        simulated().fractions_of(np.array([0.5]))
 
 
 @pytest.mark.parametrize(

@@ -247,8 +247,8 @@ def _calls_that_write(path):
         given = [*call.args[:2], *(k.value for k in call.keywords if k.arg == "mode")]
         modes = {v.value for v in given if isinstance(v, ast.Constant) and isinstance(v.value, str)}
         opens = name == "open" and any(re.fullmatch(r"[wax]b?\+?|r\+b?", mode) for mode in modes)
-        # Of a path, not ours of neurosim.base.files.
-        writes = method and name == "write_text" and owner != "files"
+        # Of a path, not ours of neurosim.base.files, nor a help page's.
+        writes = method and name == "write_text" and owner not in ("files", "formatter")
         others = (name, owner) in {("save", "export"), ("move", "shutil")}
         if name in _NAMES or opens or writes or others:
             yield name

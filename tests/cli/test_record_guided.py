@@ -34,7 +34,7 @@ def test_rounds_are_all_commands_the_first_of_them_twice_as_long():
         (["--camera", "none", "--calibration", "c.json"], "needs a camera"),
         ([], "--calibration"),
         (["--calibration", "c.json", "--at-line", "end"], "--at-line end"),
-        (["--calibration", "c.json", "--commands", "30"], "more than that"),
+        (["--calibration", "c.json", "--commands", "30"], "needs more than the"),
         (["--calibration", "c.json", "--resume"], "no round"),
     ],
 )

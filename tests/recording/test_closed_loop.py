@@ -36,7 +36,7 @@ class Robot:
         self.clock = Clock()
         self.line, self.slow_at, self.slow, self.volts = line, slow_at, slow, volts
         self.speeds, self.since = (0.0, 0.0), 0.0
-        self.ways, self.zero = [0.0, 0.0], (0, 0)
+        self.distances, self.zero = [0.0, 0.0], (0, 0)
         self.sent, self.looks = [], 0
 
     def connect(self):
@@ -54,7 +54,7 @@ class Robot:
     def _move(self):
         now = self.clock.now()
         for wheel, speed in enumerate(self.speeds):
-            self.ways[wheel] += speed / 100 * FULL_SPEED * (now - self.since)
+            self.distances[wheel] += speed / 100 * FULL_SPEED * (now - self.since)
         self.since = now
 
     commands = TWO_WHEELS
@@ -69,7 +69,7 @@ class Robot:
         self.speeds = (0.0, 0.0)
 
     def _pulses(self):
-        return [round(arguments * self.pulses_per_metre) for arguments in self.ways]
+        return [round(distance * self.pulses_per_metre) for distance in self.distances]
 
     def read_counts(self):
         self.clock.time += 0.01
@@ -85,7 +85,7 @@ class Robot:
         self.looks += 1
         self.clock.time += self.slow if self.looks in self.slow_at else 0.02
         self._move()
-        ahead = sum(self.ways) / 2
+        ahead = sum(self.distances) / 2
         return {"line_left": 0.1 if ahead > self.line else 0.6, "sensor_0": min(ahead, 1.0)}
 
     def battery(self):
@@ -182,10 +182,10 @@ def test_a_line_ends_the_drive(tmp_path, at_line):
     motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-3:]] == ["command", "cut", "stop"]
     assert motor[-2].command == motor[-3].command < 30
-    assert sum(robot.ways) / 2 < 0.2 + 0.03
+    assert sum(robot.distances) / 2 < 0.2 + 0.03
     assert "was stopped at the perimeter line by its light sensor line_" in message[0]
     drive(tmp_path / "ignored", robot := Robot(line=0.2), Source(50))
-    assert sum(robot.ways) / 2 > 0.3
+    assert sum(robot.distances) / 2 > 0.3
 
 
 def test_a_line_is_seen_though_the_controller_reads_nothing(tmp_path):
@@ -197,7 +197,7 @@ def test_a_line_is_seen_though_the_controller_reads_nothing(tmp_path):
 
     robot = Robot(line=0.2)
     recording, _ = drive(tmp_path / "r", robot, Blindly(50, ()), at_line="end")
-    assert sum(robot.ways) / 2 < 0.2 + 0.03
+    assert sum(robot.distances) / 2 < 0.2 + 0.03
     recording, _ = drive(tmp_path / "ignored", Robot(line=0.2), Blindly(5, ()))
     assert recording.observations().names == ()
 

@@ -193,7 +193,7 @@ def test_with_light_sensors_it_drives_on(tmp_path):
         "command"
     ] * 4 + ["stop"]
     # It drove on unseen for more than 2 s, and what was seen then is too short to tell it by.
-    lost, again, doubt = message
+    lost, again, warning = message
     assert "lost from sight" in lost
     assert "seen again" in again
     poses = recording.poses()
@@ -201,7 +201,7 @@ def test_with_light_sensors_it_drives_on(tmp_path):
     assert (poses.quality[away] == 0).all()
     assert np.isnan(poses.pose[away]).all()
     assert poses.doubtful.tolist() == ((poses.time > 6.9) & (poses.quality > 0)).tolist()
-    assert doubt.startswith(f"{poses.doubtful.sum()} poses may be of another pair")
+    assert warning.startswith(f"{poses.doubtful.sum()} poses may be of another pair")
 
 
 @pytest.mark.slow

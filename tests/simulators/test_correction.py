@@ -220,4 +220,4 @@ def test_no_share_leads_out_of_bounds(low, width, log, fraction):
     one = Adjustable("x", low, low, low * width, log=log)
     value = one.checked(one.at(fraction))
     if 0.0 <= fraction <= 1.0:
-        assert one.share(value) == pytest.approx(fraction, abs=1e-9)
+        assert one.fraction(value) == pytest.approx(fraction, abs=1e-9)

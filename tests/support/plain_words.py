@@ -38,5 +38,26 @@ NOT_IN_MESSAGES = re.compile(
     )
 )
 
-#: Names of variables and arguments that a noun replaces.
-NOT_NAMES = {"blind", "dead_zone", "doubt", "found", "verb"}
+#: In docstrings these.
+NOT_IN_DOCSTRINGS = re.compile(
+    "|".join(
+        (
+            r"\b[Tt]old\b|\b[Ss]aid\b|\b[Bb]eside\b|\b[Aa]new\b|\b[Ll]est\b|\b[Ww]hoever\b",
+            r"\b[Bb]lind(ly)?\b|\b(put down|planned again)\b|\b[Dd]ead zone\b",
+            r"(?<!there )\b(is|are) none\b",
+            r"(^|(?<=[.:;] ))What (?![^.?!]*\?)",  # name the noun
+            r"^(Return|Give|Write) what\b",
+        )
+    )
+)
+
+#: Words that are not in a name: a noun says what it holds.
+NOT_IN_NAMES = {
+    "anew", "beside", "blind", "doubt", "drawn", "found", "said", "share", "shares", "told", "verb",
+    "way", "ways",
+}  # fmt: skip
+#: Names that have one all the same: an idiom, the protocol's own words, drawings.
+NAMES = {
+    "_drawn", "_under_way", "drawn", "Drawn", "FILE_NOT_FOUND", "MODULE_NOT_FOUND", "MOST_DRAWN",
+    "NOT_FOUND", "ground_share", "share", "fractions_of", "under_way", "_not_found",
+}  # fmt: skip

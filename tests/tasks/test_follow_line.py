@@ -61,9 +61,9 @@ def test_starts_are_on_the_line_and_face_both_ways():
     assert along.std() > 0.2 * task.line.length
     against = np.cos(poses[:, 2] - task.line.poses(along)[:, 2]) < 0
     assert against.mean() == pytest.approx(0.5)
-    one_way = FollowLine(direction="against").draw_starts(None, 5, rng)
-    along = task.line.nearest(one_way[:, :2])[1]
-    assert (np.cos(one_way[:, 2] - task.line.poses(along)[:, 2]) < 0).all()
+    against_it = FollowLine(direction="against").draw_starts(None, 5, rng)
+    along = task.line.nearest(against_it[:, :2])[1]
+    assert (np.cos(against_it[:, 2] - task.line.poses(along)[:, 2]) < 0).all()
     assert task.start == tuple(task.line.poses(0.0).tolist())
 
 

@@ -83,9 +83,9 @@ def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
     time, front, rear = (np.array(rows)[:, part] for part in (0, slice(1, 3), slice(3, 5)))
     middle, result = (front + rear) / 2, np.isfinite(front[:, 0])
     false = np.hypot(*(middle - middle[0]).T) > 5
-    doubt = doubtful(time, front, rear)
-    assert not (false & ~doubt).any()
-    assert not (result & ~false & doubt).any()
+    marked = doubtful(time, front, rear)
+    assert not (false & ~marked).any()
+    assert not (result & ~false & marked).any()
     # The one that is where the robot was lost is it, as soon as it is seen.
     assert (result & ~false)[back_at + 4 :].all()
 
@@ -140,11 +140,11 @@ def test_what_moves_as_the_robot_was_told_is_the_robot():
     assert not follows_commands(times, np.zeros_like(poses), lines)  # one that stands still
     assert not follows_commands(times, np.full_like(poses, np.nan), lines)
     assert not follows_commands(times, poses, [])
-    told_otherwise = [
+    commanded_otherwise = [
         line._replace(left=other.left, right=other.right)
         for line, other in zip(lines, [*lines[5:], *lines[:5]], strict=True)
     ]
-    assert not follows_commands(times, driven(told_otherwise, times), lines)
+    assert not follows_commands(times, driven(commanded_otherwise, times), lines)
     steady = np.column_stack([0.1 * times, 0 * times, 0 * times])
     assert not follows_commands(times, steady, lines)
 
@@ -152,10 +152,10 @@ def test_what_moves_as_the_robot_was_told_is_the_robot():
 def test_a_stretch_of_a_recording_that_follows_its_commands_is_not_doubtful():
     lines, times = commanded(), np.arange(0, 26, 1 / FPS)
     poses = driven(lines, times)
-    doubt = np.zeros(len(times), bool)
-    doubt[60:500] = True  # ten commands
-    doubt[600:660] = True  # one
-    left = _unclear(doubt, times, poses, lines)
+    marked = np.zeros(len(times), bool)
+    marked[60:500] = True  # ten commands
+    marked[600:660] = True  # one
+    left = _unclear(marked, times, poses, lines)
     assert np.flatnonzero(left).tolist() == list(range(600, 660))
     poses[60:500] = poses[60]
-    assert (_unclear(doubt, times, poses, lines) == doubt).all()
+    assert (_unclear(marked, times, poses, lines) == marked).all()

@@ -47,8 +47,8 @@ def test_tracking_begins_anew_where_a_video_begins_again():
         live.take(when, frame)
     live.close()
     assert all(each.sighting.in_view for each in seen)
-    anew = Tracker(*COLOURS)
-    again = [anew.update(frame, when) for when, frame in film[5:10]]
+    tracker = Tracker(*COLOURS)
+    again = [tracker.update(frame, when) for when, frame in film[5:10]]
     assert [each.sighting.quality for each in seen[20:]] == [each.quality for each in again]
 
 

@@ -243,7 +243,7 @@ def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
 
 #: As the lab's camera sees it; its box is four walls.
 BOX = ((0.30, -0.30), (0.45, -0.20), (0.39, -0.11), (0.24, -0.21))
-DRAWN = Place(
+SKETCH = Place(
     outline=(
         (-0.55, -0.40), (0.55, -0.40), (0.55, 0.40), (0.10, 0.40), (0.10, 0.20), (-0.55, 0.20)
     ),
@@ -284,20 +284,20 @@ def draw(tab, scene, part, *points, says, width=None):
 
 def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path):
     """Every part, by a lens that is known and corners that are clicked; wrong clicks are undone."""
-    with Scene(tmp_path, lens=True, around=DRAWN) as scene, PageServer(scene.viewer) as server:
+    with Scene(tmp_path, lens=True, around=SKETCH) as scene, PageServer(scene.viewer) as server:
         scene.pose = None
         tab.open(server.url)
         tab.until(f"{STATUS}.includes('not found yet')")
         draw(tab, scene, "wall", (0.0, 0.0), says="no calibration says where on the floor")
         assert tab.run("drawing.solid.length") == 0
-        set_corners(tab, scene, DRAWN.board)
+        set_corners(tab, scene, SKETCH.board)
         # Wrong clicks.
         draw(tab, scene, "light", (0.0, 0.57), says="7 cm outside the board")
         tab.click_on("#finish")
         tab.until(f"{SAYS}.startsWith('there is nothing to finish')")
         tab.click_on("#undo")
         tab.until(f"{SAYS} === 'there is nothing to undo'")
-        draw(tab, scene, "outline", *DRAWN.outline[:2], says="or finish")
+        draw(tab, scene, "outline", *SKETCH.outline[:2], says="or finish")
         tab.click_on("#finish")
         tab.until(f"{SAYS} === 'an outline has at least 3 corners'")
         draw(tab, scene, "light", (0.0, 0.0), says="finish the outline first")
@@ -308,38 +308,38 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
         draw(tab, scene, "outline", (0.2, 0.1), says="or finish")
         tab.click_on("#undo")
         tab.until(f"{SAYS} === 'the last click on the outline is undone'")
-        draw(tab, scene, "outline", *DRAWN.outline[2:], says="or finish")
+        draw(tab, scene, "outline", *SKETCH.outline[2:], says="or finish")
         tab.click_on("#finish")
         tab.until(f"{SAYS}.includes('the outline is drawn')")
-        x1, y1, x2, y2 = DRAWN.walls[0]
+        x1, y1, x2, y2 = SKETCH.walls[0]
         draw(tab, scene, "wall", (x1, y1), (x2, y2), says="the wall is drawn")
         draw(
             tab, scene, "cylinder", (-0.08, -0.15), (-0.08, 0.0), says="obstacle 0 overlaps a wall"
         )
         tab.click_on("#undo")  # the middle
         tab.until("!drawing.clicks.length")
-        x, y, radius = DRAWN.obstacles[0]
+        x, y, radius = SKETCH.obstacles[0]
         draw(tab, scene, "cylinder", (x, y), (x, y - radius), says="the cylinder is drawn")
         draw(tab, scene, "box", *BOX[:2], BOX[2], says="the box is drawn")
-        for line, part in zip(DRAWN.lines, ("line", "closed line"), strict=True):
+        for line, part in zip(SKETCH.lines, ("line", "closed line"), strict=True):
             draw(tab, scene, part, *line.points, says="or finish", width="0")
             tab.click_on("#finish")
             tab.until(f"{SAYS}.startsWith('type the width')")
             tab.run(f"document.getElementById('line-width').value = '{line.width}'")
             tab.click_on("#finish")
             tab.until(f"{SAYS}.includes('the {part} is drawn')")
-        draw(tab, scene, "light", *DRAWN.lights, says="the light is drawn")
+        draw(tab, scene, "light", *SKETCH.lights, says="the light is drawn")
         draw(tab, scene, "light", (0.0, -0.35), says="the light is drawn")
         tab.click_on("#undo")
         tab.until(f"{SAYS} === 'the last part is undone'")
-        x, y, theta = DRAWN.start
+        x, y, theta = SKETCH.start
         ahead = (x + 0.2 * np.cos(theta), y + 0.2 * np.sin(theta))
         draw(tab, scene, "start", (x, y), ahead, says="the start is drawn")
         draw(tab, scene, "perimeter", (0.2, 0.44), says="the perimeter is drawn", width="0,02")
         # What is drawn over the picture lies where the lab's camera sees it.
-        tab.until(f"drawing.solid.length === {len(DRAWN.walls) + 1}")
+        tab.until(f"drawing.solid.length === {len(SKETCH.walls) + 1}")
         ring = np.array(tab.run("drawing.solid.at(-1)"))
-        x, y, radius = DRAWN.obstacles[0]
+        x, y, radius = SKETCH.obstacles[0]
         assert ring[0] == pytest.approx(scene.pixel(x + radius, y, 0.0), abs=1.5)
         assert np.ptp(ring[:, 1]) == pytest.approx(
             np.ptp([scene.pixel(x, y + side, 0.0)[1] for side in (-radius, radius)]), abs=2
@@ -356,26 +356,26 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
     # The browser rounds a click down to a pixel of the screen, here 2.5 mm.
     for name in ("outline", "walls", "obstacles", "lights"):
         assert np.array(getattr(result, name)) == pytest.approx(
-            np.array(getattr(DRAWN, name)), abs=0.004
+            np.array(getattr(SKETCH, name)), abs=0.004
         )
-    for line, true in zip(result.lines, DRAWN.lines, strict=True):
+    for line, true in zip(result.lines, SKETCH.lines, strict=True):
         assert np.array(line.points) == pytest.approx(np.array(true.points), abs=0.004)
         assert (line.width, line.closed) == (true.width, true.closed)
     assert result.board.line_inset == pytest.approx(0.06, abs=0.004)
     assert result.board.line_width == 0.02
-    assert result.start[:2] == pytest.approx(DRAWN.start[:2], abs=0.004)
-    assert result.start[2] == pytest.approx(DRAWN.start[2], abs=0.03)
+    assert result.start[:2] == pytest.approx(SKETCH.start[:2], abs=0.004)
+    assert result.start[2] == pytest.approx(SKETCH.start[2], abs=0.03)
     words = ["view", str(tmp_path / "place.json"), "-o", str(tmp_path / "place.png")]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     # It is shown when it is given again, and goes on from there.
     (tmp_path / "again").mkdir()
     with (
-        Scene(tmp_path / "again", around=DRAWN, place=result) as scene,
+        Scene(tmp_path / "again", around=SKETCH, place=result) as scene,
         PageServer(scene.viewer) as server,
     ):
         tab.open(server.url)
-        tab.until(f"drawing.solid.length === {len(DRAWN.walls) + 1}")
+        tab.until(f"drawing.solid.length === {len(SKETCH.walls) + 1}")
         draw(tab, scene, "light", (0.0, -0.35), says="the light is drawn")
         tab.click_on("button[data-save=place]")
         tab.until(f"{SAYS}.includes('place.json is written')")

@@ -641,7 +641,7 @@ def _kernel_units(a, x, out):
 
 @kernel(forceinline=True)
 def own_spread(a, x, out):
-    """Write what the size of the noise on a command is for all members alike.
+    """Write the part of the noise's size on a command that all members share.
 
     Args:
         a: :class:`MotionModel` of a simulator with a noise model.

@@ -134,7 +134,7 @@ class Actuators(NamedTuple):
 
 @njit(error_model="numpy", cache=True)
 def _distances(a, turning, before, commanded, time, follows, row, until, features, within):
-    """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
+    """Write the features of the twists of pieces of commands, see :meth:`DriveModel.pieces`.
 
     Args:
         a: :class:`Actuators` of one model.
@@ -208,7 +208,7 @@ def _cut(a, turning, begins, goals, time, law, distance, reached, features):
 
 @kernel(forceinline=True)
 def products_and_losses(turning, time, count, terms):
-    """Write what a twist is linear in behind the distances, see :func:`motion_features`.
+    """Write the features of a twist after the distances, see :func:`motion_features`.
 
     Args:
         turning: as in DriveModel, [C].
