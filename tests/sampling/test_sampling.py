@@ -78,7 +78,7 @@ def test_counters_of_another_number_of_pulses_are_refused(tmp_path, nominal):
             placed.append(where)
             rig.lab.place(*poses[where])
 
-        with robot, pytest.raises(UserError, match=r"the number of pulses.*--pulses-per-metre"):
+        with robot, pytest.raises(UserError, match=r"the pulses per metre or.*--pulses-per-metre"):
             sample(tmp_path / "out", robot, SETTINGS, place, progress=False)
     assert placed == ["wall"]
 

@@ -139,8 +139,8 @@ def test_starts_anywhere_on_a_board_are_seen_from_a_goal_anywhere_on_it():
         ({"radius": -1.0}, "radius: expected a number from 0"),
         ({"area": (1.0, 0.0)}, r"area\[1\]: .* found 0"),
         ({"area": (1.0, math.inf)}, r"area\[1\]: .* found inf"),
-        ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "need a single goal"),
-        ({"area": (1.0, 1.0), "place": "arena"}, "need a single goal"),
+        ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "needs a single goal"),
+        ({"area": (1.0, 1.0), "place": "arena"}, "needs a single goal"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

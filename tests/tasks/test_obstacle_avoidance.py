@@ -62,7 +62,7 @@ def test_what_comes_after_a_contact_counts_nothing_where_it_is_known():
     assert not ObstacleAvoidance(steps=20).episode.contacts
     with pytest.raises(UserError, match="contacts: expected one of 'free', 'end', found 'soft'"):
         ObstacleAvoidance(contacts="soft")
-    with pytest.raises(UserError, match="of the fitness avoidance"):
+    with pytest.raises(UserError, match="needs fitness='avoidance'"):
         ObstacleAvoidance(fitness="cells", contacts="end")
 
 

@@ -136,7 +136,7 @@ def test_commands_that_repeat_themselves_are_ambiguous():
         for i in range(30)
     ]
     times, poses = drive(lines, 0.0, 3)
-    with pytest.raises(UserError, match=r"from .* s and from .* s of the video"):
+    with pytest.raises(UserError, match=r"the motion fits the video at .* s and at .* s"):
         fit_clock_to_motion(times, poses, lines)
 
 
