@@ -11,6 +11,16 @@ from neurosim.loop.check import check
 from neurosim.simulators.registry import read_simulator
 
 
+class Bare(ns.Simulator):
+    """Classes without what their protocols need."""
+
+    class Goal(ns.Task):
+        name = "goal"
+
+    class Still(ns.Controller):
+        kind, genes = "still", 2
+
+
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "tables").mkdir()
@@ -102,9 +112,49 @@ def test_evaluation_takes_names_as_evolution_does(folder):
         (lambda: ns.make_controller("recurrent"), "needs inputs"),
         (lambda: ns.make_controller("network", "tables"), r"give neurosim.load\('tables'\)"),
         (lambda: ns.make_controller("plan", None, "go-to"), r"neurosim.make_task\('go-to'\)"),
+        (lambda: ns.evaluate(Bare(), "go-to", "plan"), "Bare has no command_names"),
+        (
+            lambda: ns.evaluate(IdealWheels(), Bare.Goal(), "plan")([0.5] * 40),
+            r"no method worth\(\)",
+        ),
+        (
+            lambda: ns.evaluate(IdealWheels(), "go-to", Bare.Still())([0.5] * 2),
+            r"no method act\(\)",
+        ),
+        (lambda: ns.evaluate(IdealWheels(), "go-to", "plan")("abc"), "genes must be numbers"),
+        (lambda: IdealWheels().sense(np.zeros((1, 3))), "IdealWheels has no sensors"),
+        (lambda: ns.evolve(IdealWheels(), generation=3), "no setting 'generation'; it has optim"),
+        (lambda: ns.evolve(IdealWheels(), generations=0), "generations: .* found 0"),
+        (lambda: ns.evolve(IdealWheels(), generations=1.5), "generations: .* found 1.5"),
+        (lambda: ns.evolve(IdealWheels(), robust=3), "robust: expected RobustSettings"),
+        (lambda: ns.evolve(IdealWheels(), seed="a"), "seed: expected a whole number"),
+        (
+            lambda: ns.make_task("go-to", goal=(1, 0, 0)),
+            "go-to has no setting 'goal'; it has goals",
+        ),
+        (lambda: ns.make_task("go-to", goals=(1, 0, 0)), r"goals\[0\]: expected a list of 3"),
+        (lambda: ns.make_task("go-to", within=float("nan")), "within: .* found nan"),
+        (lambda: ns.make_controller("plan", slot=3), "plan has no setting 'slot'; it has slots"),
+        (lambda: ns.make_controller("plan", durations=(3, 1)), "shortest duration, 3 s, is above"),
+        (lambda: ns.rollout(IdealWheels(), [40, 20, 1]), r"commands must be \[T, C\]"),
+        (lambda: ns.rollout(IdealWheels(), [[40, 20]]), "commands have 2 columns.* takes 3"),
+        (lambda: ns.rollout(IdealWheels(), [[40, float("nan"), 1]]), "right = nan lies outside"),
+        (lambda: ns.rollout(IdealWheels(), [[40, 20, 1]], start=(0, 0)), "start must be x"),
+        (
+            lambda: ns.rollout(IdealWheels(), ns.make_controller("plan")),
+            "saved controller.*not Plan",
+        ),
+        (lambda: ns.check(ns.make_controller("plan"), IdealWheels()), "not Plan: evolve one first"),
+        (lambda: ns.load(None), "expected the name of a folder, not NoneType"),
+        (lambda: ns.load("."), "is not a simulator, controller or dataset: it has none of"),
+        (lambda: ns.train("log.csv", "out"), "log.csv: no such dataset"),
+        (lambda: ns.import_csv("log.csv", "out"), "log.csv: no such file"),
+        (lambda: ns.register("tasks", "mine", Bare.Goal), "'tasks' cannot be registered; choose"),
+        (lambda: ns.register("task", "go-to", Bare.Goal), "taken by neurosim's own task"),
     ],
 )
-def test_mistakes_get_one_sentence(mistake, says):
+def test_mistakes_get_one_sentence(mistake, says, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(ns.UserError, match=says):
         mistake()
 

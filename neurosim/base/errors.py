@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 
@@ -23,6 +24,22 @@ class UserError(Exception):
         ...     print(error)
         nowhere: is not a simulator, controller or dataset: no such folder
     """
+
+
+def unwritten(owner: object, method: str) -> UserError:
+    """Return the error of a class of a user's own that lacks a method."""
+    return UserError(f"{type(owner).__name__} has no method {method}(): write one")
+
+
+def check_names(owner: str, names: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse settings of unknown names.
+
+    Raises:
+        UserError: naming the first one, and the known ones.
+    """
+    for name in names:
+        if name not in known:
+            raise UserError(f"{owner} has no setting {name!r}; it has {', '.join(known) or 'none'}")
 
 
 class FileError(UserError):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from operator import attrgetter
 from typing import Any
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, check_names
 
 #: The names of modules that are files named on the command line begin with this.
 PLUGIN = "neurosim_plugin_"
@@ -101,6 +103,10 @@ class Registry:
         maker: Callable[..., Any] = self.get(name)
         if not callable(maker) and not settings:
             return maker
+        with suppress(TypeError, ValueError):  # not callable, or compiled
+            taken = inspect.signature(maker).parameters.values()
+            if not any(each.kind is each.VAR_KEYWORD for each in taken):
+                check_names(f"the {self.what} {name}", settings, [each.name for each in taken])
         try:
             return maker(**settings)
         except TypeError as error:

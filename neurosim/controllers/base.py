@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.declared import Checked
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, unwritten
 from neurosim.base.se2 import tensors as se2
 from neurosim.networks.control import (
     GOAL_INPUTS,
@@ -82,7 +82,7 @@ class Controller(Checked):
             observation: [B, len(inputs)].
             memory: [B, memory] as :meth:`start` or the step before returned it.
         """
-        raise NotImplementedError
+        raise unwritten(self, "act")
 
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
         """Return all commands of an open-loop controller.
@@ -95,7 +95,7 @@ class Controller(Checked):
             Commands [P, T, 3] (left %, right %, duration s) and active [P, T] bool; a command
             that is not active is not given. With ``rest`` the last is the stop, not active.
         """
-        raise NotImplementedError
+        raise unwritten(self, "commands")
 
     def hand_tuned(self) -> NDArray | None:
         """Return genes [genes] that a person tuned, to start from; None: there are none."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.errors import UserError
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.statistics import wilson
 from neurosim.base.trajectory import Trajectory
@@ -112,6 +113,11 @@ def check(
     """
     if isinstance(controller, str | Path):
         controller = read_controller(controller)
+    if not isinstance(controller, SavedController):
+        raise UserError(
+            f"expected a saved controller or its folder, not {type(controller).__name__}: "
+            "evolve one first"
+        )
     simulator = simulator_of(simulator)
     task = make_task(controller.task if task is None else task)
     check_uncertain(simulator)

@@ -346,7 +346,11 @@ class Fitness:
 
     def _rows(self, genes: Any) -> tuple[NDArray[np.float64], bool]:
         """Return genes as rows, and whether there was but one."""
-        rows = np.asarray(genes.detach().cpu() if isinstance(genes, Tensor) else genes, np.float64)
+        given = genes.detach().cpu() if isinstance(genes, Tensor) else genes
+        try:
+            rows = np.asarray(given, np.float64)
+        except (TypeError, ValueError):
+            raise UserError(f"genes must be numbers [P, {self.genes}], not {genes!r:.60}") from None
         single, rows = rows.ndim == 1, np.atleast_2d(rows)
         if rows.ndim != 2 or rows.shape[1] != self.genes:
             raise UserError(f"expected genes [P, {self.genes}] or [{self.genes}], got {rows.shape}")

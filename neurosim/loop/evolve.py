@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.base.files import check_new_folder
 from neurosim.base.generations import run_generations
@@ -365,6 +366,7 @@ def check_uncertain(simulator: Simulator) -> None:
         )
 
 
+@checks
 def evolve(
     simulator: str | Path | Simulator,
     task: str | Task = "nine-rectangles",
@@ -373,7 +375,7 @@ def evolve(
     out: str | Path | None = None,
     settings: EvolveSettings | None = None,
     source: str | Path | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     keep_all: bool = False,
     resume: bool = False,
     options: Mapping[str, Any] | None = None,
@@ -431,7 +433,7 @@ def evolve(
     simulator, task, controller = joined(simulator, task, controller)
     if settings is None:
         settings = default_settings(controller, task)
-    settings = replace(settings, **changes)
+    settings = settings.changed(changes)
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing, workers=workers)
     simulator, ends = evaluator.simulator, evaluator.task.perimeter
     perimeter = None if ends is None else ends.describe()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from neurosim.base.declared import Checked, Count, CountOrNone, Fraction, Placing
+from neurosim.base.errors import UserError, check_names
 from neurosim.controllers.base import Controller
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.objectives import objective_named
@@ -103,6 +105,20 @@ class EvolveSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         objective_named(self.objective)
+        if not isinstance(self.robust, RobustSettings | None):
+            raise UserError(
+                f"robust: expected RobustSettings, such as RobustSettings(generations=100), "
+                f"found {self.robust!r}"
+            )
+
+    def changed(self, changes: Mapping[str, Any]) -> EvolveSettings:
+        """Return these settings with some replaced.
+
+        Raises:
+            UserError: if there is no such setting, or a value is out of range.
+        """
+        check_names("evolution", changes, [each.name for each in fields(self)])
+        return replace(self, **changes)
 
 
 def default_settings(controller: Controller, task: Task, **changes: Any) -> EvolveSettings:
@@ -113,7 +129,7 @@ def default_settings(controller: Controller, task: Task, **changes: Any) -> Evol
     generation, from random starts where the task has them; else for graded progress.
     """
     if controller.open_loop:
-        return replace(EvolveSettings(runs=10), **changes)
+        return EvolveSettings(runs=10).changed(changes)
     steady = task.trial_starts > 1
     settings = EvolveSettings(
         generations=200,
@@ -122,4 +138,4 @@ def default_settings(controller: Controller, task: Task, **changes: Any) -> Evol
         objective="steady" if steady else "progress",
         final_draws=256,
     )
-    return replace(settings, **changes)
+    return settings.changed(changes)

@@ -47,6 +47,8 @@ def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
         >>> simulator.command_names
         ('left', 'right', 'duration')
     """
+    if not isinstance(folder, str | Path):
+        raise UserError(f"expected the name of a folder, not {type(folder).__name__}")
     folder = Path(folder)
     for name, read in _READERS.items():
         if (folder / name).exists():
@@ -127,7 +129,12 @@ def rollout(
         start = what.start if start is None else start
     else:
         commands = what.detach().cpu().numpy() if isinstance(what, Tensor) else what
-        commands = np.asarray(commands, np.float64)
+        try:
+            commands = np.asarray(commands, np.float64)
+        except (TypeError, ValueError):
+            raise UserError(
+                f"expected commands, a saved controller or its folder, not {type(what).__name__}"
+            ) from None
         if commands.ndim not in (2, 3):
             raise UserError(f"commands must be [T, C] or [B, T, C], not of shape {commands.shape}")
         check_commands(simulator, commands)

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, unwritten
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
@@ -196,7 +196,7 @@ class Simulator:
 
         With a generator each draws the member that it moves as.
         """
-        raise NotImplementedError
+        raise unwritten(self, "start")
 
     def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
         """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
@@ -209,11 +209,11 @@ class Simulator:
 
         Noise is drawn only where a generator is given; without one the answer is the mean.
         """
-        raise NotImplementedError
+        raise unwritten(self, "step")
 
     def sense(self, state: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the readings [B, len(reading_names)] in 0..1 of robots in ``state`` [B, S]."""
-        raise NotImplementedError(f"{type(self).__name__} has no sensors")
+        raise UserError(f"{type(self).__name__} has no sensors: use a simulator that has")
 
     def noise_of(
         self,

@@ -57,6 +57,8 @@ def simulator_of(simulator: str | Path | Simulator) -> Simulator:
             f"expected a simulator or its folder, not {type(simulator).__name__}; read one with "
             "neurosim.load, or subclass neurosim.Simulator"
         )
+    if not hasattr(simulator, "command_names"):
+        raise UserError(f"{type(simulator).__name__} has no command_names: name its commands")
     return simulator
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked, SettingError
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, unwritten
 from neurosim.base.perimeter import ENDS, LONGEST_ARC, Perimeter
 from neurosim.base.place import Place
 from neurosim.base.threads import WORTH_SHARING, one_core
@@ -202,7 +202,7 @@ class Task(Checked):
 
         ``over`` and ``segment`` need not be given: :meth:`score` and :meth:`judge` fill them in.
         """
-        raise NotImplementedError
+        raise unwritten(self, "worth")
 
     def placed(self, simulator: Simulator) -> Simulator:
         """Return a simulator in the task's place, where there is one and the simulator takes it."""

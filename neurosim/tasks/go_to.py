@@ -20,7 +20,7 @@ from neurosim.tasks.base import Interval, Judgement, Task
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
 
-#: Whoever is nowhere is so far away, m.
+#: Distance of a robot whose pose is unknown, m.
 _FAR = 1e3
 
 

@@ -65,7 +65,7 @@ def test_what_is_made_takes_settings(shapes):
     with pytest.raises(UserError, match=r"the shape half does not take these settings \('a'\)"):
         shapes.make("half", {"a": 1})
     shapes.register("pair", lambda a: a)
-    with pytest.raises(UserError, match="the shape pair does not take these settings"):
+    with pytest.raises(UserError, match="the shape pair has no setting 'b'; it has a"):
         shapes.make("pair", {"b": 1})
 
 

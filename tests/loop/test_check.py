@@ -1,4 +1,4 @@
-"""What is said of a plan before the robot moves."""
+"""Predictions of a plan before the robot moves."""
 
 import math
 

@@ -76,7 +76,7 @@ def test_the_start_faces_rectangle_1_and_the_name_finds_the_task():
     assert make_task(written["name"], **written["settings"]) == task
     with pytest.raises(UserError, match="no task 'ten-rectangles'; choose from nine-rectangles"):
         make_task("ten-rectangles")
-    with pytest.raises(UserError, match=r"does not take these settings \('size'\)"):
+    with pytest.raises(UserError, match="has no setting 'size'; it has penalty, "):
         make_task("nine-rectangles", size=1)
     with pytest.raises(UserError, match=r"penalty: .* found -1"):
         make_task("nine-rectangles", penalty=-1.0)

@@ -104,7 +104,8 @@ class DriveModel:
         slowing: of the lag where a speed is above its goal in magnitude: a factor, [C].
         braking: of the lag where it is commanded to stand: a factor, [C].
         rate: the most that a speed changes, [C] 1/s.
-        stick: what starts or turns round stands for this over its commanded speed, [C] s.
+        stick: static friction; an actuator that starts or reverses waits stick over its commanded
+        speed, [C] s.
         curve: of the speed by the command, coefficients of :func:`curvature`, [C, 6].
         delay: from a command to the first answer, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].

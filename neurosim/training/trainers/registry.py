@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, check_names
 from neurosim.base.registry import Registry
 from neurosim.training.base import Trainer
 
@@ -40,11 +40,7 @@ def trainer_settings(name: str, options: dict[str, Any]) -> Any:
     """
     kind = trainer_class(name).settings_type
     known = [field.name for field in fields(kind)]
-    for option in options:
-        if option not in known:
-            raise UserError(
-                f"trainer {name!r} has no setting {option!r}; it has {', '.join(known)}"
-            )
+    check_names(f"trainer {name!r}", options, known)
     try:
         return kind(**options)
     except (TypeError, ValueError) as error:
