@@ -507,6 +507,7 @@ class Dataset(Format):
         reasons: explanation of each reason.
         warnings: warnings about columns that look wrong.
         windows: whether each row begins where the row before ended.
+        starts: whether each row says where the robot began.
         robots: robots of the recordings.
         virtual: whether it is from the virtual lab.
         clocks: clocks of the sessions.
@@ -527,6 +528,7 @@ class Dataset(Format):
     reasons: dict[str, str] | None = None
     warnings: list[str] | None = None
     windows: bool | None = None
+    starts: bool | None = None
     robots: list[Robot] | None = None
     virtual: bool | None = None
     clocks: list[SessionClock] | None = None
@@ -638,6 +640,20 @@ class Fractions(Format):
     dtheta: float
 
 
+class Unevenness(Format):
+    """A floor: how much of the motion is lost where.
+
+    Attributes:
+        sd: standard deviation of the lost fraction over the board.
+        length: distance over which it changes, m.
+        ahead: how much of the fraction the way ahead loses too.
+    """
+
+    sd: float
+    length: float
+    ahead: float
+
+
 class Composition(Format):
     """The parts of a simulator.
 
@@ -646,12 +662,14 @@ class Composition(Format):
         delay: delay of all actuators, s.
         kernel_units: number of units of the Gaussian process.
         process: weights of the Gaussian process.
+        floor: the floor, where the rows tell of it.
     """
 
     actuators: dict[str, dict[str, float]]
     delay: float
     kernel_units: int
     process: Fractions
+    floor: Unevenness | None = None
 
 
 class SensorLearned(Format):
@@ -801,6 +819,7 @@ class MotionNetwork(Simulator, kw_only=True):
         noise: kind of the noise model.
         domain: commands from which it learned.
         sensors: sensors that it predicts.
+        floor: tensors of the floor that it knows.
         correction: correction of the motion, adapted to a robot.
     """
 
@@ -816,6 +835,7 @@ class MotionNetwork(Simulator, kw_only=True):
     noise: dict[str, Any] | None = None
     domain: Commands | None = None
     sensors: Mounted | None = None
+    floor: list[str] | None = None
     correction: Corrections | None = None
 
 

@@ -92,6 +92,11 @@ def _composition(simulator: Artefact) -> list[Block]:
         f"fractions of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
+    if made.get("floor"):
+        words += (
+            f"; the floor takes a fraction of the motion that differs by "
+            f"{made['floor']['sd']:.1%} (standard deviation) from place to place"
+        )
     return [
         Table(
             words, ["actuator", *(law.replace("_", " ") for law in laws)], actuators, folded=True

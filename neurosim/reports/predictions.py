@@ -81,5 +81,5 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
         actual,
         baseline,
         how,
-        central_ranks(network, rows.input_array(), actual),
+        central_ranks(network, rows.input_array(), actual, starts=rows.start_array()),
     )

@@ -23,7 +23,7 @@ from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
 #: 8 has the place of tables.
-FORMAT, VERSION = "neurosim-simulator", 9
+FORMAT, VERSION = "neurosim-simulator", 10
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}

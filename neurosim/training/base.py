@@ -40,6 +40,8 @@ class TrainingData:
         scale: what inputs are divided by, [I]; None: the largest magnitude of each.
         joined: whether a row begins where that before it ended, [N] bool, where windows of several
             rows are to be learned from; None: each row stands for itself.
+        start: where the robot was when each command began, [N, 3] m, m, rad, one frame for all;
+            None: that is not known.
     """
 
     inputs: list[dict[str, str]]
@@ -48,6 +50,7 @@ class TrainingData:
     within: Within | None = None
     scale: Tensor | None = None
     joined: Tensor | None = None
+    start: Tensor | None = None
 
     @property
     def input_scale(self) -> Tensor:
@@ -84,7 +87,10 @@ class TrainingData:
         if joined is not None:
             next_to = torch.diff(chosen, prepend=torch.tensor([-2])) == 1
             joined = joined[chosen] & next_to
-        return replace(self, x=self.x[chosen], y=self.y[chosen], within=within, joined=joined)
+        start = None if self.start is None else self.start[chosen]
+        return replace(
+            self, x=self.x[chosen], y=self.y[chosen], within=within, joined=joined, start=start
+        )
 
     @property
     def follows(self) -> Tensor:

@@ -30,7 +30,8 @@ def coverage(
         For each output, level ("0.5", ...) -> fraction of rows within the central interval of that
         probability; None if the simulator has no noise model.
     """
-    ranks = central_ranks(simulator, rows.input_array(), rows.output_array(), seed)
+    inputs, actual = rows.input_array(), rows.output_array()
+    ranks = central_ranks(simulator, inputs, actual, seed, starts=rows.start_array())
     if ranks is None:
         return None
     return {
@@ -40,7 +41,12 @@ def coverage(
 
 
 def central_ranks(
-    simulator: MotionNetwork, inputs: NDArray, actual: NDArray, seed: int = 0, draws: int = DRAWS
+    simulator: MotionNetwork,
+    inputs: NDArray,
+    actual: NDArray,
+    seed: int = 0,
+    draws: int = DRAWS,
+    starts: NDArray | None = None,
 ) -> NDArray | None:
     """Return :func:`central` of what followed commands, by samples that a simulator draws.
 
@@ -49,6 +55,8 @@ def central_ranks(
         actual: [N, 3] dx, dy (m), dtheta (rad).
         seed: of the draws.
         draws: samples drawn of each command.
+        starts: where the robot was when the commands began, [N, 3] m, m, rad; None: it is taken
+            to be on an even floor.
 
     Returns:
         [N, 3] in 0..1; None if the simulator has no noise model.
@@ -57,14 +65,22 @@ def central_ranks(
         return None
     generator = torch.Generator().manual_seed(seed)
     x = simulator.chained(torch.tensor(inputs))
-    samples = draw_displacements(simulator, x, draws, generator).numpy()
+    where = None if starts is None else torch.tensor(starts)
+    samples = draw_displacements(simulator, x, draws, generator, where).numpy()
     return central(samples, actual)
 
 
 def draw_displacements(
-    simulator: MotionNetwork, x: Tensor, draws: int, generator: torch.Generator
+    simulator: MotionNetwork,
+    x: Tensor,
+    draws: int,
+    generator: torch.Generator,
+    starts: Tensor | None = None,
 ) -> Tensor:
-    """Return displacements [D, N, 3] drawn for scaled inputs [N, I], each with member and noise."""
+    """Return displacements [D, N, 3] drawn for scaled inputs [N, I], each with member and noise.
+
+    ``starts`` [N, 3] say where on the floor, as in :func:`central_ranks`.
+    """
     samples = torch.empty(draws, len(x), 3, dtype=torch.float64)
     members = torch.arange(draws) % simulator.members
     for part in torch.arange(len(x)).split(_ROWS):
@@ -73,6 +89,9 @@ def draw_displacements(
         means = mean[members].flatten(0, 1)
         z = simulator.noise.draw(len(means), 1, generator)[:, 0]
         noisy = simulator.disturbed(own.repeat(draws, 1), means, z)
+        if starts is not None:
+            each = members.repeat_interleave(len(own))
+            noisy = simulator.on_floor(starts[part].repeat(draws, 1), noisy, each)
         samples[:, part] = noisy.unflatten(0, (draws, -1))
     return samples
 

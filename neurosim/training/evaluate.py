@@ -113,7 +113,11 @@ def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
     if rows.joined is not None and network.drive is not None:
         return _driven(network, rows, rows.joined)
     inputs = torch.tensor(rows.input_array(), device=network.genes.device)
-    return network.displacement_of(network.chained(inputs)).cpu().numpy()
+    moved = network.displacement_of(network.chained(inputs))
+    starts = rows.start_array()
+    if starts is not None:
+        moved = network.on_floor(torch.from_numpy(starts).to(moved), moved)
+    return moved.cpu().numpy()
 
 
 def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) -> NDArray:

@@ -156,6 +156,7 @@ def training_data(dataset: Dataset) -> TrainingData:
     """Return a dataset's rows as tensors."""
     within, joined = dataset.within, dataset.joined
     poses = within[["dx", "dy", "dtheta"]].to_numpy(np.float64, copy=True)
+    starts = dataset.start_array()
     return TrainingData(
         dataset.meta["inputs"],
         torch.tensor(dataset.input_array()),
@@ -166,6 +167,7 @@ def training_data(dataset: Dataset) -> TrainingData:
             torch.tensor(poses),
         ),
         joined=None if joined is None else torch.from_numpy(joined),
+        start=None if starts is None else torch.from_numpy(starts),
     )
 
 

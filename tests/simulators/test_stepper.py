@@ -14,6 +14,10 @@ MADE = {
     "driven": random_motion_network,
     "driven, no noise": lambda: random_motion_network(noise=False),
     "driven, no kernel units": lambda: random_motion_network(units=0, central=False, swing=None),
+    "on a floor": lambda: random_motion_network(floor=True),
+    "one network, on a floor": lambda: random_motion_network(
+        members=1, central=False, drives=False, swing=None, floor=True
+    ),
     "tables": tables,
     "tables, late": lambda: tables().changed(reaction=Reaction(answer=0.03, lag=(0.05, 0.08))),
     "tables, no noise": lambda: tables().changed(noise="none"),

@@ -6,6 +6,7 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel
 
@@ -64,6 +65,13 @@ def kernel_units(seed, count, inputs, networks):
     )
 
 
+def random_floor(seed, networks):
+    """Return a floor of 2 m by 1.5 m that takes up to about a tenth of the motion."""
+    weights = 0.05 * normal(seed, networks, 5, 6)
+    number = torch.tensor
+    return Floor(weights, number([-1.0, -0.8]), number([0.5]), number([0.7]))
+
+
 def random_motion_network(
     seed=0,
     *,
@@ -79,6 +87,7 @@ def random_motion_network(
     size=0.05,
     scale=None,
     meta=None,
+    floor=False,
 ):
     """Return an ensemble of random networks, of unequally many units.
 
@@ -96,6 +105,7 @@ def random_motion_network(
         size: what the networks' outputs are scaled by, m and rad.
         scale: what each input is scaled by.
         meta: what else simulator.json says.
+        floor: whether there is one.
     """
     derived, count = Derived(swing), members + central
     inputs = len(names) + len(derived)
@@ -122,4 +132,5 @@ def random_motion_network(
         derived=derived,
         drive=drive_model(seed, actuators) if drives is True else drives or None,
         kernel_units=kernel_units(seed, units, inputs, count) if units else None,
+        floor=random_floor(seed, 1 + members) if floor else None,
     )

@@ -1,11 +1,11 @@
 """Datasets: one row per command, what was sent and how the robot was displaced by it.
 
 A dataset is a folder: ``dataset.csv`` with the columns ``recording, command, <inputs>,
-<outputs>, quality``, and ``dataset.json``, which names inputs and outputs with their units,
-says from which files the rows came and counts by reason what was left out. Another robot's
-inputs may be others, which is why the names stand in the file. Where the robot was seen while
-commands were going on, ``within.csv`` holds poses at some instants of them
-(:mod:`tracking.datasets.within`).
+<outputs>, quality`` and, where it is known, ``start_x, start_y, start_theta``; and
+``dataset.json``, which names inputs and outputs with their units, says from which files the rows
+came and counts by reason what was left out. Another robot's inputs may be others, which is why the
+names stand in the file. Where the robot was seen while commands were going on, ``within.csv`` holds
+poses at some instants of them (:mod:`tracking.datasets.within`).
 
 The outputs are the displacement (dx, dy, dtheta) of the middle of the axle in the robot's frame
 at the command's start, REP 103: the dy of Pretorius et al. (2009) is dx here, its dx is -dy.
@@ -40,6 +40,8 @@ FORMAT, VERSION = "neurosim-dataset", 2
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
+#: Where the robot was when a command began, in the recording's frame (m, m, rad), if it is known.
+STARTS = ("start_x", "start_y", "start_theta")
 
 
 def inputs_of(takes: Commands) -> dict[str, str]:
@@ -57,7 +59,8 @@ class Dataset:
     """Commands and the displacements they caused, in the order in which they were given.
 
     Attributes:
-        table: columns recording, command, the inputs, the outputs, quality.
+        table: columns recording, command, the inputs, the outputs, quality; and :data:`STARTS`,
+            where it is known of every row.
         inputs: names of the input columns.
         outputs: names of the output columns.
         meta: what dataset.json says: inputs and outputs [{name, unit}], sources
@@ -86,6 +89,12 @@ class Dataset:
     def output_array(self) -> NDArray[np.float64]:
         """Return the outputs (N, 3): metres, metres, radians."""
         return self.table[list(self.outputs)].to_numpy(np.float64, copy=True)
+
+    def start_array(self) -> NDArray[np.float64] | None:
+        """Return where the robot was when each command began (N, 3) m, m, rad; None: not known."""
+        if STARTS[0] not in self.table:
+            return None
+        return self.table[list(STARTS)].to_numpy(np.float64, copy=True)
 
     def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
         """Split by time into the earlier rows and the last ``held_out`` fraction of them.
@@ -188,7 +197,8 @@ class Dataset:
         if outputs != tuple(OUTPUTS):
             raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")
         columns = {"recording": str, "command": files.integer}
-        columns |= dict.fromkeys((*inputs, *outputs, "quality"), files.number)
+        starts = STARTS if meta.get("starts") else ()
+        columns |= dict.fromkeys((*inputs, *outputs, "quality", *starts), files.number)
         table = files.read_csv(csv_path, columns, rows=meta["rows"])
         if len(table) == 0:
             raise FileError(csv_path, "holds no rows")
@@ -224,7 +234,8 @@ def make(
     """Make a dataset of rows.
 
     Args:
-        rows: one mapping per row, with recording, command, every input and output, quality; and
+        rows: one mapping per row, with recording, command, every input and output, quality;
+            ``start``, the pose (m, m, rad) where the command began, if that is known; and
             ``within``, where there are any, the poses within the command in the order of time:
             a sequence of mappings with time, dx, dy, dtheta.
         inputs: name of every input column -> its unit.
@@ -242,12 +253,16 @@ def make(
         raise UserError(f"{where}: no usable command (left out: {reasons or 'none'})")
     names = ("recording", "command", *inputs, *OUTPUTS, "quality")
     table = pd.DataFrame({name: [row[name] for row in rows] for name in names})
+    known = all("start" in row for row in rows)
+    if known:
+        table[list(STARTS)] = np.array([row["start"] for row in rows], np.float64).reshape(-1, 3)
     within = within_commands.table_of([row.get("within", ()) for row in rows])
     meta = {
         "inputs": [{"name": name, "unit": unit} for name, unit in inputs.items()],
         "outputs": [{"name": name, "unit": unit} for name, unit in OUTPUTS.items()],
         "rows": len(table),
         "within": len(within),
+        "starts": known,
         "left_out": dict(left_out),
         "settings": dict(settings),
         "sources": list(sources),

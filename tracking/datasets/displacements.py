@@ -75,9 +75,9 @@ class Displacements:
     Attributes:
         rows: one dict per usable command, keys command, the numbers of the command and, with
             ``prev_`` before their names, of the one before (for two wheels prev_left, prev_right,
-            left, right, percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1), and
-            ``within``, the tracked poses at some frames within the command
-            (:func:`tracking.datasets.within.poses_within`).
+            left, right, percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1),
+            ``start``, the pose (m, m, rad) where it began, and ``within``, the tracked poses at
+            some frames within it (:func:`tracking.datasets.within.poses_within`).
         left_out: reason -> count of the commands that gave no row.
         sent: every command as often as it was sent, dicts with its numbers by name, ``forward``
             and ``turn`` (percent), duration, attempt (from 1) and ``fate``: ``cut``,
@@ -320,5 +320,6 @@ def _displacement(
         "dy": dy,
         "dtheta": dtheta,
         "quality": min(start[1], end[1]),
+        "start": start[0],
         "within": poses_within(times, start[0], poses),
     }

@@ -162,6 +162,7 @@ def rows_of(
                 "duration": duration,
                 **dict(zip(("dx", "dy", "dtheta"), displacement, strict=True)),
                 "quality": 1.0,
+                "start": poses[start],
                 "within": within,
             }
         )
@@ -301,6 +302,7 @@ def chained_rows_of(
                 "duration": float(lasts[number]),
                 **dict(zip(("dx", "dy", "dtheta"), moved[number], strict=True)),
                 "quality": 1.0,
+                "start": poses[number],
                 "within": within,
             }
         )

@@ -21,6 +21,8 @@ from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.floor import NAMES as FLOOR
+from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import OUTPUTS, MotionNetwork
 from neurosim.simulators.motion.noise import (
@@ -74,6 +76,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
             if sensors is None
             else {"sensors": {"names": list(sensors.names), "cell": sensors.cell}}
         ),
+        **({} if simulator.floor is None else {"floor": list(FLOOR)}),
         **simulator.meta,
     }
     tensors = {
@@ -90,6 +93,8 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         tensors["domain.seen"] = simulator.known.seen
     if sensors is not None:
         tensors |= {f"sensors.{k}": _numbers(sensors, k) for k in TENSORS}
+    if simulator.floor is not None:
+        tensors |= {f"floor.{k}": _numbers(simulator.floor, k) for k in FLOOR}
     files.write_tensors(folder / "weights.safetensors", tensors)
     files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
 
@@ -151,6 +156,16 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         expected |= {"sensors.mount": (count, 2), "sensors.noise": (count, 2)}
         expected |= {"sensors.place": (count,), "sensors.origin": (2,)}
         expected["sensors.maps"] = (None, None, None)
+    floored = content.get("floor") is not None
+    if floored:
+        if content["floor"] != list(FLOOR):
+            raise FileError(
+                path,
+                "is not a floor that this version reads: train the simulator again",
+                field="floor",
+            )
+        expected["floor.weights"] = (1 + members, None, None)
+        expected |= {"floor.origin": (2,), "floor.length": (1,), "floor.ahead": (1,)}
     tensors = files.read_tensors(Path(folder) / "weights.safetensors", expected)
     if (tensors["input_scale"] <= 0).any():
         weights = Path(folder) / "weights.safetensors"
@@ -177,6 +192,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             known,
             files.made(path, "correction", Correction, content.get("correction", {})),
             _sensors(path, content, loaded),
+            Floor(**_part(loaded, "floor.")) if floored else None,
         )
     except ValueError as error:
         raise FileError(path, f"is not a motion network ({error})") from None

@@ -28,6 +28,7 @@ from neurosim.simulators.motion.drive import (
     SHORTEST_COMMAND,
     STILL,
 )
+from neurosim.simulators.motion.floor import on_floor
 from neurosim.simulators.motion.noise import DRAWS, HEAVIEST, LEAST_CHORD, TINY
 from neurosim.simulators.motion.sensors import read
 
@@ -103,6 +104,10 @@ class MotionModel(NamedTuple):
     sensor_maps: np.ndarray  #: [K, NY, NX]
     sensor_origin: np.ndarray  #: [2] m, of the grid's first point
     sensor_cell: float  #: m, between its points
+    floor_map: np.ndarray  #: [1 + M, NY, NX, 3], as in Floor's map; M = -1: the floor is even
+    floor_corner: np.ndarray  #: [2] m, of the map's first point
+    floor_cell: float  #: m, between its points
+    floor_ahead: float  #: as in Floor
 
 
 def scratch(a):
@@ -192,6 +197,8 @@ def step(a, states, command, z, work):
         else:
             for i in range(len(a.following)):
                 own[3 + i] = command[a.following[i]]
+        if len(a.floor_map) > 0:
+            dx, dy, turn = on_floor(a, m, own[0], own[1], own[2], dx, dy, turn)
         own[0], own[1], own[2] = se2.compose(own[0], own[1], own[2], dx, dy, turn)
 
 

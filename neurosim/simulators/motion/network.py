@@ -34,6 +34,7 @@ from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.floor import Floor, even
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import HALF_LOG2_E, LANES, MotionModel
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb, draw
@@ -104,6 +105,7 @@ class MotionNetwork(Simulator):
         correction: of drive model and networks, all members alike, where another floor or robot
             is to be simulated than was learned from.
         sensors: what its sensors read where on the board; None: it has none.
+        floor: where on the board how much of the motion is lost; None: it is even.
         meta: what else simulator.json says: training, test errors, source.
         longest: the longest command that it has learned from, s; infinite without a duration.
     """
@@ -128,6 +130,7 @@ class MotionNetwork(Simulator):
         known: Domain | None = None,
         correction: Correction | None = None,
         sensors: Sensors | None = None,
+        floor: Floor | None = None,
     ):
         """Make a simulator.
 
@@ -167,6 +170,8 @@ class MotionNetwork(Simulator):
             or len(kernel_units.lengths) != network.inputs
         ):
             raise ValueError("kernel units and networks do not fit each other")
+        if floor is not None and len(floor.weights) != 1 + len(genes) - central:
+            raise ValueError("the floor and networks do not fit each other")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
         self.genes = genes.double()
@@ -185,6 +190,7 @@ class MotionNetwork(Simulator):
         self.known = known
         self.correction = correction
         self.sensors = sensors
+        self.floor = floor
         self._corrected = None if drive is None else correction.of_drive(drive)
         self.columns = columns
         place = columns.duration
@@ -355,7 +361,7 @@ class MotionNetwork(Simulator):
         moved = self.displacement_of(x, member)
         if z is not None:
             moved = self.disturbed(x, moved, z)
-        pose = se2.compose(state[:, :3], moved)
+        pose = se2.compose(state[:, :3], self.on_floor(state[:, :3], moved, member))
         return torch.cat([pose, command[:, self._next], state[:, self._remembered.stop :]], dim=1)
 
     def sense(
@@ -402,7 +408,8 @@ class MotionNetwork(Simulator):
         moved = self.displacement_of(x, member, under)
         if z is not None:
             moved = self.disturbed(x, moved, noise)
-        pose = se2.compose(parts.pose, se2.between(displaced, moved))
+        since = self.on_floor(parts.pose, se2.between(displaced, moved), member)
+        pose = se2.compose(parts.pose, since)
         speed, push = drive.reached(under, goals, elapsed.squeeze(1))
         now = parts._replace(pose=pose, speed=speed, push=push, commanded=driven, elapsed=elapsed)
         return torch.cat(now._replace(displaced=moved, noise=noise, **began), dim=1)
@@ -534,6 +541,16 @@ class MotionNetwork(Simulator):
             return mean
         return disturb(self.noise, self.columns, x, mean, z)
 
+    def on_floor(self, pose: Tensor, moved: Tensor, member: Tensor | int = -1) -> Tensor:
+        """Return displacements [B, 3] on the floor of those on an even one; see :class:`Floor`.
+
+        Args:
+            pose: where they begin, [B, 3] m, m, rad, board frame.
+            moved: displacements [B, 3] in the robots' frames there.
+            member: as in :meth:`displacement`.
+        """
+        return moved if self.floor is None else self.floor.moved(pose, moved, member)
+
     @property
     def parameters(self) -> tuple[Adjustable, ...]:
         """Return the five numbers of its correction.
@@ -575,6 +592,7 @@ class MotionNetwork(Simulator):
             self.known,
             correction,
             self.sensors,
+            self.floor,
         )
 
     def conditions(self) -> dict[str, Any]:
@@ -644,6 +662,7 @@ class MotionNetwork(Simulator):
             members=self.members > 1,
             noisy=self.noise is not None,
             **(no_sensors() if self.sensors is None else self.sensors.arrays()),
+            **(even() if self.floor is None else self.floor.arrays()),
         )
 
     def _laid_out(self) -> dict[str, Any]:

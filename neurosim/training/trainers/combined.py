@@ -30,19 +30,21 @@ from neurosim.networks.product_units import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
-from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel
+from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, residual
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.error_size import row_weights
 from neurosim.training.noise import fit_noise
 from neurosim.training.trainers.drive_fit import Fit, Motion, fit_again, fit_drive
+from neurosim.training.trainers.floor_fit import FloorFit, evened, fit_floor
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
 from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
 
 OUTPUTS = 3
 #: What can be left out, to see what it is good for.
-MECHANISMS = ("laws", "dead_band", "swing", "process", "row_weights", "drive_members")
+MECHANISMS = ("laws", "dead_band", "swing", "process", "row_weights", "drive_members", "floor")
 #: Stretches of time, every other one of which makes a half of the rows.
 STRETCHES = 24
 #: How much of the Gaussian process' uncertainty members show even where it counts for nothing.
@@ -79,6 +81,8 @@ _SETTLED = 0.05
 _WORTH = 0.03
 #: The process must lessen the loss by this fraction to count.
 _SIMPLER = 0.01
+#: Times that the floor is learned: the second time of a robot that was learned on an even one.
+_PASSES = 2
 #: Ridge of the projection of a member's drive model on units, as a fraction of a unit's square.
 _RIDGE = 1e-6
 
@@ -103,7 +107,8 @@ class CombinedSettings(Checked):
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``dead_band``, ``swing`` (how a caster turns
             when the direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows
-            with larger errors count less), ``drive_members`` (a drive model for each member).
+            with larger errors count less), ``drive_members`` (a drive model for each member),
+            ``floor`` (a map of where on the board how much of the motion is lost).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -168,6 +173,7 @@ class CombinedTrainer:
         self._columns = CommandFeatures.of(names)
         self._longest = float(self._data.input_scale[self._columns.duration])
         self._done: list[Tensor] = []
+        self._floor: FloorFit | None = None
 
     def advance(self) -> Tensor:
         """Learn the next part; return mean squared errors, [3]."""
@@ -187,8 +193,7 @@ class CombinedTrainer:
     def _learn_drive(self) -> Tensor:
         data, settings, device = self._data, self._settings, self._device
         x, y = data.scaled_inputs.to(device), data.y.to(device)
-        driven, before = list(self._columns.driven), list(self._columns.before)
-        band = None
+        driven, band = list(self._columns.driven), None
         if settings.dead_band is not None:
             band = torch.tensor(settings.dead_band, dtype=x.dtype, device=device)[driven]
         elif "dead_band" in settings.without:
@@ -204,11 +209,18 @@ class CombinedTrainer:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             joined = data.joined.to(device)
             self._motion = Chains.of(x, y, joined, self._columns, self._longest, within)
-        self._fit = fit_drive(self._motion, laws, band)
-        self._drive, self._band = self._fit.drive, band
-        inputs, under = self._inputs(self._fit)
+        self._band = band
+        return self._leave(fit_drive(self._motion, laws, band))
+
+    def _leave(self, fit: Fit) -> Tensor:
+        """Write down what a drive model leaves of the rows; return mean squared errors, [3]."""
+        data, settings = self._data, self._settings
+        x, y = data.scaled_inputs.to(self._device), data.y.to(self._device)
+        self._fit, self._drive = fit, fit.drive
+        inputs, under = self._inputs(fit)
         self._dead_band = torch.zeros_like(x[0])
-        self._dead_band[driven] = self._dead_band[before] = self._fit.band
+        for places in (self._columns.driven, self._columns.before):
+            self._dead_band[list(places)] = fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
         #: Of which command each row is a part.
         self._command = torch.arange(len(x))
@@ -278,6 +290,44 @@ class CombinedTrainer:
     # The Gaussian process
 
     def _learn_process(self) -> Tensor:
+        """Learn the process; and the floor, and what the rows say of a robot on an even one."""
+        self._fit_process()
+        uneven, once = self._data, torch.ones(1, len(self._data.x), dtype=torch.float64)
+        for _ in range(_PASSES):
+            floor = self._fit_floor(uneven)
+            if floor is None:
+                break
+            self._floor, self._data = floor, _on_even_floor(uneven, floor.floor)
+            self._motion = _moved(self._motion, self._data)
+            rows = _moved(self._fit.rows, self._data)
+            self._leave(fit_again(self._fit._replace(rows=rows), once)[0])
+            given = self._derived.append(self._columns, self._rows.given)
+            self._rows = self._rows._replace(given=given)
+            self._trust = self._trust_of_rows()
+            self._best = self._judged(self._best.process)
+        #: Weights of the units, learned from all rows, [3, K].
+        self._mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
+        rows, best = self._rows, self._best
+        outputs = best.fractions[:, None] * (self._mean @ best.units.T)
+        return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
+
+    def _fit_floor(self, data: TrainingData) -> FloorFit | None:
+        """Learn the floor of what drive model and process leave of whole rows as they were."""
+        whole = len(data.x)
+        if data.start is None or data.joined is not None or "floor" in self._settings.without:
+            return None
+        x, under = self._inputs(self._fit)
+        changing, twist = self._phases(self._drive, x, under)
+        unseen = (self._best.unseen * self._best.fractions.unsqueeze(1)).T[:whole]
+        twist = twist + x[:, self._columns.duration, None] * unseen
+        left = residual(se2.compose(changing, se2.exp(twist)), data.y.to(x))[:, :2]
+        trust = row_weights(self._rows.given[:whole], left.T).T.square()
+        generator = torch.Generator().manual_seed(self._seed)
+        members = self._settings.members
+        return fit_floor(data.start, data.y, left.cpu(), trust.cpu(), members, generator)
+
+    def _fit_process(self) -> None:
+        """Choose the process' inputs, lengths and centres."""
         rows, settings = self._rows, self._settings
         self._trust = trust = self._trust_of_rows()
         generator = torch.Generator().manual_seed(self._seed)
@@ -307,10 +357,6 @@ class CombinedTrainer:
                 break
             best = wider
         self._best = best
-        #: Weights of the units, learned from all rows, [3, K].
-        self._mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
-        outputs = best.fractions[:, None] * (self._mean @ best.units.T)
-        return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
 
     @property
     def _swings(self) -> bool:
@@ -473,6 +519,7 @@ class CombinedTrainer:
             derived=self._derived,
             drive=self._drive,
             kernel_units=KernelUnits(best.process.centres, best.process.lengths, kernel),
+            floor=None if self._floor is None else self._floor.floor,
         )
         simulator.meta = {"composition": self._composition()}
         unseen = (best.unseen * fractions).T
@@ -491,6 +538,9 @@ class CombinedTrainer:
             unseen: outputs of the process [N, 3] that has not seen a row.
         """
         rows, whole = self._rows, len(self._data.x)
+        moved = rows.y.clone()
+        if self._floor is not None:
+            moved[:whole, 2] -= self._floor.unseen
         few = whole <= FEW
         if few:
             some = slice(whole)
@@ -500,7 +550,7 @@ class CombinedTrainer:
             mean = simulator.from_outputs(unseen[some], rows.x[some])
         # Noise of the parts of a command is the same noise again.
         weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
-        noise = fit_noise(self._columns, rows.x[some], mean, rows.y[some], weight)
+        noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight)
         return noise.times(OF_HALVES) if few else noise
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
@@ -582,11 +632,28 @@ class CombinedTrainer:
             },
             "delay": float(drive.delay),
             "swing": self._derived.swing,
+            "floor": None if self._floor is None else self._floor.described(),
             "kernel_units": len(self._best.process.centres),
             "process": dict(
                 zip(("dx", "dy", "dtheta"), self._best.fractions.tolist(), strict=True)
             ),
         }
+
+
+def _on_even_floor(data: TrainingData, floor: Floor) -> TrainingData:
+    """Return rows as they would have been on an even floor."""
+    assert data.start is not None
+    y, within = evened(floor, data.start, data.y), data.within
+    if within is not None:
+        moved = evened(floor, data.start[within.row], within.moved)
+        within = within._replace(moved=moved)
+    return replace(data, y=y, within=within)
+
+
+def _moved(rows: Motion, data: TrainingData) -> Motion:
+    """Return rows with the displacements of data, if they know those within commands too."""
+    within = None if rows.within is None else data.within
+    return replace(rows, y=data.y.to(rows.y), within=within)
 
 
 class _Judged(NamedTuple):

@@ -1,0 +1,207 @@
+r"""The floor under a robot: a smooth map of how much of its motion is lost where.
+
+Wheels slip more here than there, and what slips unequally on the left and on the right turns the
+robot. With the fraction :math:`s` of the motion that is lost at a place, a displacement :math:`d`
+and a turn :math:`\phi` become
+
+.. math:: d' = (1 - a s)\, d, \qquad \phi' = (1 - s)\, \phi + d \times \nabla s
+
+because of two wheels on either side of the middle the one that slips more falls behind. A
+displacement is followed in three pieces of its arc. The number :math:`a` says how much of the
+fraction the way ahead loses as well. The map is a sum of Gaussian bells on a grid; each member of
+an ensemble has its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurosim.base.kernels import kernel
+from neurosim.base.se2 import tensors as se2
+
+#: Pieces of a displacement's arc.
+PIECES = 3
+#: Distance of the bells' centres, and of the points of the map, in lengths of a bell.
+SPACING, CELL = 0.8, 0.25
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A learned floor; all tensors are float64 and on the CPU.
+
+    Attributes:
+        weights: [1 + M, NY, NX] of the bells: the mean's, and each member's.
+        origin: [2] x and y of the first bell, m, board frame.
+        length: [1] standard deviation of a bell, m; centres are :data:`SPACING` of it apart.
+        ahead: [1] how much of the lost fraction the way loses too, 0..1: less where it is known of
+            turns alone.
+    """
+
+    weights: Tensor
+    origin: Tensor
+    length: Tensor
+    ahead: Tensor
+
+    def __post_init__(self) -> None:
+        for name, shape in {"origin": (2,), "length": (1,), "ahead": (1,)}.items():
+            if tuple(getattr(self, name).shape) != shape:
+                raise ValueError(f"floor's {name} must be of shape {shape}")
+        for name in NAMES:
+            object.__setattr__(self, name, getattr(self, name).detach().cpu().double())
+        if self.weights.ndim != 3 or min(self.weights.shape) < 1:
+            raise ValueError("floor's weights must be of networks, rows and columns")
+        if not float(self.length) > 0:
+            raise ValueError("floor's length must be above 0")
+
+    @property
+    def centres(self) -> Tensor:
+        """Where the bells are, [K, 2] m, in the order of their weights."""
+        return _grid(self.origin, SPACING * self.length, self.weights.shape[1:])
+
+    def bells(self, points: Tensor) -> Tensor:
+        """Return bells and their gradients [3, P, K] at points [P, 2]: value, along x, along y."""
+        length = self.length.to(points)
+        off = (self.centres.to(points) - points.unsqueeze(1)) / length
+        value = (-0.5 * off.square().sum(2)).exp()
+        return torch.stack([value, value * off[..., 0] / length, value * off[..., 1] / length])
+
+    @cached_property
+    def map(self) -> Tensor:
+        """The map of each network, [1 + M, NY, NX, 3]: fraction, and its gradient (1/m)."""
+        rows, columns = (
+            1 + math.ceil((SPACING * (count - 1) + 4.0) / CELL) for count in self.weights.shape[1:]
+        )
+        bells = self.bells(_grid(self.corner, CELL * self.length, (rows, columns)))
+        values = torch.einsum("cpk,mk->mpc", bells, self.weights.flatten(1))
+        return values.unflatten(1, (rows, columns)).contiguous()
+
+    @property
+    def cell(self) -> float:
+        """Distance between the points of the map, m."""
+        return CELL * float(self.length)
+
+    @property
+    def corner(self) -> Tensor:
+        """Where the first point of the map is, [2] m: two lengths beyond the first bell."""
+        return self.origin - 2.0 * self.length
+
+    def moved(self, pose: Tensor, moved: Tensor, member: Tensor | int = -1) -> Tensor:
+        """Return displacements on this floor [B, 3] of those on an even one.
+
+        Args:
+            pose: where the robots are, [B, 3] m, m, rad.
+            moved: displacements [B, 3] in their frames.
+            member: of the ensemble, of all or of each [B]; -1: the mean.
+        """
+        points, chords = pieces(pose, moved)
+        network = torch.as_tensor(member, device=pose.device) + 1
+        lost, along_x, along_y = self._at(points, network).unbind(-1)
+        turn = (chords[..., 0] * along_y - chords[..., 1] * along_x).sum(1)
+        turn = turn - moved[:, 2] * lost.mean(1)
+        chord = (chords * (1.0 - self.ahead.to(pose) * lost).unsqueeze(-1)).sum(1)
+        ahead = se2.rotate(turn / 2.0 - pose[:, 2], chord)
+        return torch.cat([ahead, (moved[:, 2] + turn).unsqueeze(1)], dim=1)
+
+    def _at(self, points: Tensor, network: Tensor) -> Tensor:
+        """Return the map [B, P, 3] at points [B, P, 2], linear between those of the grid."""
+        table = self.map.to(points)
+        rows, columns = table.shape[1:3]
+        place = (points - self.corner.to(points)) / self.cell
+        across, up = place[..., 0].clamp(0, columns - 1), place[..., 1].clamp(0, rows - 1)
+        i, j = across.long().clamp(max=columns - 2), up.long().clamp(max=rows - 2)
+        a, b = (across - i).unsqueeze(-1), (up - j).unsqueeze(-1)
+        m = network.reshape(-1, 1).expand_as(i)
+        near, far = ((1 - a) * table[m, row, i] + a * table[m, row, i + 1] for row in (j, j + 1))
+        return (1 - b) * near + b * far
+
+    def arrays(self) -> dict[str, Any]:
+        """Return the floor as :class:`MotionModel` has it."""
+        return {
+            "floor_map": np.ascontiguousarray(self.map.numpy()),
+            "floor_corner": np.ascontiguousarray(self.corner.numpy()),
+            "floor_cell": self.cell,
+            "floor_ahead": float(self.ahead),
+        }
+
+
+#: The tensors of a floor, by name.
+NAMES = tuple(one.name for one in fields(Floor))
+
+
+def even() -> dict[str, Any]:
+    """Return the arrays of a simulator that knows of no floor."""
+    return {
+        "floor_map": np.empty((0, 0, 0, 3)),
+        "floor_corner": np.zeros(2),
+        "floor_cell": 1.0,
+        "floor_ahead": 0.0,
+    }
+
+
+def _grid(origin: Tensor, step: Tensor, shape: Sequence[int]) -> Tensor:
+    """Return the points of a grid of rows and columns, [rows * columns, 2], row by row."""
+    y, x = (origin[1 - axis] + step * torch.arange(count) for axis, count in enumerate(shape))
+    return torch.cartesian_prod(y, x).flip(1)
+
+
+def pieces(pose: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the middles of the pieces of arcs [B, PIECES, 2], and their chords, board frame.
+
+    Args:
+        pose: where the arcs begin, [B, 3] m, m, rad.
+        moved: displacements [B, 3] in the frames there.
+    """
+    third = moved[:, 2].clamp(-math.pi, math.pi) / 3.0
+    chord = se2.rotate(pose[:, 2], moved[:, :2]) / (1.0 + 2.0 * third.cos()).unsqueeze(1)
+    first, last = se2.rotate(-third, chord), se2.rotate(third, chord)
+    chords = torch.stack([first, chord, last], dim=1)
+    return pose[:, None, :2] + chords.cumsum(1) - chords / 2.0, chords
+
+
+@kernel(forceinline=True)
+def on_floor(a, network, x, y, theta, dx, dy, turn):
+    """Return a displacement on the floor; see :meth:`Floor.moved`.
+
+    Args:
+        a: :class:`MotionModel` of a simulator with a floor.
+        network: 0 for the mean, 1 + m for a member.
+        x, y, theta: pose (m, m, rad).
+        dx, dy, turn: displacement on an even floor (m, m, rad).
+    """
+    table, cell = a.floor_map[network], a.floor_cell
+    rows, columns = table.shape[0], table.shape[1]
+    third = min(max(turn, -math.pi), math.pi) / 3.0
+    cos, sin, c, s = math.cos(theta), math.sin(theta), math.cos(third), math.sin(third)
+    share = 1.0 / (1.0 + 2.0 * c)
+    mx, my = share * (cos * dx - sin * dy), share * (sin * dx + cos * dy)
+    at_x, at_y = x - a.floor_corner[0], y - a.floor_corner[1]
+    turned, lost_x, lost_y, mean = 0.0, 0.0, 0.0, 0.0
+    for n in range(PIECES):
+        own = (n - 1) * s  # the first piece is turned back by a third, the last ahead
+        rest = c if n != 1 else 1.0
+        cx, cy = rest * mx - own * my, own * mx + rest * my
+        across, up = (at_x + 0.5 * cx) / cell, (at_y + 0.5 * cy) / cell
+        at_x, at_y = at_x + cx, at_y + cy
+        across, up = min(max(across, 0.0), columns - 1.0), min(max(up, 0.0), rows - 1.0)
+        i, j = min(int(across), columns - 2), min(int(up), rows - 2)
+        u, v = across - i, up - j
+        p, q, r, t = (1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u
+        near, right, far, both = table[j, i], table[j, i + 1], table[j + 1, i], table[j + 1, i + 1]
+        lost = p * near[0] + q * right[0] + r * far[0] + t * both[0]
+        along_x = p * near[1] + q * right[1] + r * far[1] + t * both[1]
+        along_y = p * near[2] + q * right[2] + r * far[2] + t * both[2]
+        turned += cx * along_y - cy * along_x
+        lost_x, lost_y, mean = lost_x + lost * cx, lost_y + lost * cy, mean + lost / PIECES
+    turned -= turn * mean
+    mx, my = mx / share - a.floor_ahead * lost_x, my / share - a.floor_ahead * lost_y
+    c, s = math.cos(0.5 * turned), math.sin(0.5 * turned)
+    mx, my = c * mx - s * my, s * mx + c * my
+    return cos * mx + sin * my, cos * my - sin * mx, turn + turned

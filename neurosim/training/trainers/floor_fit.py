@@ -1,0 +1,193 @@
+"""Learning the floor from where robots moved otherwise than their commands say.
+
+The map is a Gaussian process over the board, seen through what it does to turns and to ways ahead
+(Rasmussen and Williams 2006, section 9.4: derivative observations), with a sum of bells in its
+place. Its length and size are those under which the rows are likeliest. It is believed only where
+that is much likelier than no map, and only of what it makes likelier: turns, or the way ahead too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from neurosim.simulators.motion.floor import SPACING, Floor, pieces
+
+#: Lengths of a bell, as fractions of the size of the area where the robot was.
+LENGTHS = (1 / 8, 1 / 5, 1 / 3, 1 / 2)
+#: Variance of the map over that of the rows' noise: candidates.
+RATIOS = tuple(10.0 ** (step / 3) for step in range(-15, 7))
+#: A map must raise the log-likelihood by so much to be believed.
+BELIEVED = 5.0
+#: What is farther off than this, in standard deviations, counts as if it were so far off.
+FAR = 2.5
+#: Steps in which rows are evened, each about a hundred times as exact as the one before.
+_EVENINGS = 3
+#: Added to the diagonal of the bells' covariance: neighbours are nearly alike.
+_JITTER = 1e-6
+
+
+class FloorFit(NamedTuple):
+    """A learned floor, and what is left of it where a row itself was not seen.
+
+    Attributes:
+        floor: itself.
+        unseen: turn that it makes of each row by all other rows, less that by all rows, [N] rad.
+    """
+
+    floor: Floor
+    unseen: Tensor
+
+    def described(self) -> dict[str, float]:
+        """Return the size of its map's unevenness, its length (m) and ``ahead``, for people."""
+        floor = self.floor
+        spread = float(floor.map[0, ..., 0].std())
+        return {"sd": spread, "length": float(floor.length), "ahead": float(floor.ahead)}
+
+
+class _Believed(NamedTuple):
+    """A map that rows tell of.
+
+    Attributes:
+        gain: by how much it raises the log-likelihood.
+        floor: where its bells are.
+        basis: what makes bells' weights of those of the eigenvectors, [K, K].
+        weights: of the eigenvectors, [K].
+        sd: standard deviations of these, [K].
+        unseen: as in :class:`FloorFit`.
+    """
+
+    gain: float
+    floor: Floor
+    basis: Tensor
+    weights: Tensor
+    sd: Tensor
+    unseen: Tensor
+
+
+def fit_floor(
+    start: Tensor,
+    moved: Tensor,
+    left: Tensor,
+    trust: Tensor,
+    members: int,
+    generator: torch.Generator,
+) -> FloorFit | None:
+    """Learn a floor; None: the rows do not tell of any.
+
+    Args:
+        start: where commands began, [N, 3] m, m, rad.
+        moved: displacements that followed, [N, 3].
+        left: by how much more they turned (rad) and went ahead (m) than was foreseen, [N, 2].
+        trust: how much each counts, [N, 2]: in proportion to 1 / variance.
+        members: how many members draw a floor of their own.
+        generator: of these draws.
+    """
+    size = (start[:, :2].amax(0) - start[:, :2].amin(0)).clamp(min=1e-3)
+    sizes = 1.4826 * (left * trust.sqrt()).abs().median(0).values
+    if (sizes <= 0).any():
+        return None
+    root = trust.sqrt() / sizes
+    best: _Believed | None = None
+    for fraction in LENGTHS:
+        length = fraction * size.prod().sqrt()
+        count = (size / (SPACING * length)).ceil().long() + 3
+        origin = start[:, :2].amin(0) - (SPACING * length * (count - 1) - size) / 2
+        none = torch.zeros(1, int(count[1]), int(count[0]), dtype=torch.float64)
+        for ahead in (0.0, 1.0):
+            where = Floor(none, origin, length.reshape(1), torch.full((1,), ahead))
+            one = _of_bells(where, start, moved, left, root)
+            if one.gain > (BELIEVED if best is None else best.gain):
+                best = one
+    if best is None:
+        return None
+    drawn = torch.randn(members, len(best.sd), generator=generator, dtype=torch.float64)
+    weights = torch.cat([best.weights[None], best.weights + best.sd * drawn]) @ best.basis.T
+    where = best.floor
+    weights = weights.unflatten(1, where.weights.shape[1:])
+    return FloorFit(Floor(weights, where.origin, where.length, where.ahead), best.unseen)
+
+
+def evened(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
+    """Return the displacements [N, 3] that would have been on an even floor.
+
+    Args:
+        floor: on which they were.
+        start: where they began, [N, 3].
+        moved: the displacements, [N, 3].
+    """
+    even = moved
+    for _ in range(_EVENINGS):
+        even = even + moved - floor.moved(start, even)
+    return even
+
+
+def _of_bells(where: Floor, start: Tensor, moved: Tensor, left: Tensor, root: Tensor) -> _Believed:
+    """Return the likeliest map of bells at these places.
+
+    Args:
+        where: the places, and whether the way ahead tells of the map, too.
+        start, moved, left: as in :func:`fit_floor`.
+        root: what makes of ``left`` numbers of about 1, [N, 2].
+    """
+    columns = slice(2 if float(where.ahead) else 1)
+    scaled = (left * root).clamp(-FAR, FAR)[:, columns]
+    whitened = _whitening(where)
+    design = _effects(where, start, moved)[:, columns] @ whitened
+    design = (design * root[:, columns, None]).flatten(0, 1)
+    y = scaled.flatten()
+    values, vectors = torch.linalg.eigh(design.T @ design)
+    values, along = values.clamp(min=0.0), vectors.T @ (design.T @ y)
+    likelihoods = [_log_likelihood(y, values, along, ratio) for ratio in (0.0, *RATIOS)]
+    gains = [one - likelihoods[0] for one in likelihoods[1:]]
+    gain, ratio = max(zip(gains, RATIOS, strict=True))
+    shrunk = ratio / (1.0 + ratio * values)
+    own, mean = design @ vectors, shrunk * along
+    variance = (y.square().sum() - (along * mean).sum()) / len(y)
+    leverage, seen = (own.square() * shrunk).sum(1), own @ mean
+    unseen = (seen - leverage * y) / (1.0 - leverage).clamp(min=0.1) - seen
+    return _Believed(
+        gain,
+        where,
+        whitened @ vectors,
+        mean,
+        (variance * shrunk).sqrt(),
+        unseen.unflatten(0, scaled.shape)[:, 0] / root[:, 0],
+    )
+
+
+def _log_likelihood(y: Tensor, values: Tensor, along: Tensor, ratio: float) -> float:
+    """Return the logarithm of the likelihood of rows [N], whose noise makes it as large as can be.
+
+    Args:
+        y: the rows.
+        values: eigenvalues of the design's square, [K].
+        along: product of rows and design, along the eigenvectors, [K].
+        ratio: variance of the map over that of the noise.
+    """
+    explained = (along.square() * ratio / (1.0 + ratio * values)).sum()
+    variance = ((y.square().sum() - explained) / len(y)).clamp(min=1e-30)
+    return float(-0.5 * len(y) * variance.log() - 0.5 * (ratio * values).log1p().sum())
+
+
+def _whitening(floor: Floor) -> Tensor:
+    """Return what makes bells' weights of independent ones, [K, K], for a process of size 1."""
+    covariance = floor.bells(floor.centres)[0]
+    covariance.diagonal().add_(_JITTER)
+    triangle = torch.linalg.cholesky(covariance)
+    one = torch.eye(len(triangle), dtype=triangle.dtype)
+    return torch.linalg.solve_triangular(triangle, one, upper=False).T
+
+
+def _effects(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
+    """Return by how much each bell changes each row's turn and its way ahead, [N, 2, K] rad, m."""
+    points, chords = pieces(start, moved)
+    bells = floor.bells(points.flatten(0, 1)).unflatten(1, points.shape[:2])  # [3, N, P, K]
+    across = chords[..., :1] * bells[2] - chords[..., 1:] * bells[1]
+    turn = across.sum(1) - moved[:, 2:] * bells[0].mean(1)
+    middle = start[:, 2] + moved[:, 2] / 2.0
+    along = torch.stack([middle.cos(), middle.sin()], 1)
+    ahead = (chords * along.unsqueeze(1)).sum(2, keepdim=True) * bells[0]
+    return torch.stack([turn, -ahead.sum(1)], dim=1)
