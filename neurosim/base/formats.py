@@ -640,18 +640,26 @@ class Fractions(Format):
     dtheta: float
 
 
-class Unevenness(Format):
+class Floor(Format):
     """A floor: how much of the motion is lost where.
 
     Attributes:
-        sd: standard deviation of the lost fraction over the board.
         length: distance over which it changes, m.
         ahead: how much of the fraction the way ahead loses too.
     """
 
+    length: Annotated[float, Meta(gt=0)]
+    ahead: Annotated[float, Meta(ge=0, le=1)]
+
+
+class Unevenness(Floor):
+    """A floor that was learned.
+
+    Attributes:
+        sd: standard deviation of the lost fraction over the board.
+    """
+
     sd: float
-    length: float
-    ahead: float
 
 
 class Composition(Format):
@@ -819,7 +827,7 @@ class MotionNetwork(Simulator, kw_only=True):
         noise: kind of the noise model.
         domain: commands from which it learned.
         sensors: sensors that it predicts.
-        floor: tensors of the floor that it knows.
+        floor: the floor that it knows.
         correction: correction of the motion, adapted to a robot.
     """
 
@@ -835,7 +843,7 @@ class MotionNetwork(Simulator, kw_only=True):
     noise: dict[str, Any] | None = None
     domain: Commands | None = None
     sensors: Mounted | None = None
-    floor: list[str] | None = None
+    floor: Floor | None = None
     correction: Corrections | None = None
 
 

@@ -18,7 +18,7 @@ from neurosim.simulators.export import export
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """Export an ensemble with everything, once."""
-    simulator = random_motion_network(4, central=True)
+    simulator = random_motion_network(4, central=True, floor=True)
     folder = tmp_path_factory.mktemp("made") / "program"
     export(simulator, folder, "torch")
     return simulator, folder

@@ -16,7 +16,7 @@ NUMBER = torch.tensor
 
 def slope(along_x, along_y, ahead=1.0, mean=0.0):
     """Return a floor whose lost fraction grows evenly about the origin, in steps of a bell."""
-    floor = Floor(torch.zeros(2, 13, 13), NUMBER([-2.4, -2.4]), NUMBER([0.5]), NUMBER([ahead]))
+    floor = Floor(torch.zeros(2, 13, 13), NUMBER([-2.4, -2.4]), 0.5, ahead)
     x, y = torch.meshgrid(*[torch.linspace(-2.4, 2.4, 13).double()] * 2, indexing="xy")
     wanted = (mean + along_x * x + along_y * y).flatten()
     centres = torch.stack([x.flatten(), y.flatten()], 1)
@@ -107,7 +107,7 @@ def test_a_simulator_steps_on_its_floor_and_keeps_it(tmp_path):
 
 def test_a_floor_must_fit():
     with pytest.raises(ValueError, match="length"):
-        Floor(torch.zeros(1, 2, 2), NUMBER([0.0, 0.0]), NUMBER([0.0]), NUMBER([1.0]))
+        Floor(torch.zeros(1, 2, 2), NUMBER([0.0, 0.0]), 0.0, 1.0)
     with pytest.raises(ValueError, match="floor"):
         random_motion_network(floor=True).__class__(
             **_parts(random_motion_network(members=2), random_floor(0, 5))

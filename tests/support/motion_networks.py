@@ -69,7 +69,7 @@ def random_floor(seed, networks):
     """Return a floor of 2 m by 1.5 m that takes up to about a tenth of the motion."""
     weights = 0.05 * normal(seed, networks, 5, 6)
     number = torch.tensor
-    return Floor(weights, number([-1.0, -0.8]), number([0.5]), number([0.7]))
+    return Floor(weights, number([-1.0, -0.8]), 0.5, 0.7)
 
 
 def random_motion_network(

@@ -19,7 +19,7 @@ def uneven(ahead, size=0.015, seed=4):
     weights = torch.randn(1, 7, 10, generator=torch.Generator().manual_seed(seed)).double()
     weights = weights.expand(2, 7, 10)
     number = torch.tensor
-    floor = Floor(weights, number([-1.5, -1.0]), number([0.45]), number([ahead]))
+    floor = Floor(weights, number([-1.5, -1.0]), 0.45, ahead)
     return Floor(
         size / floor.map[0, ..., 0].std() * weights, *(floor.origin, floor.length, floor.ahead)
     )
@@ -87,7 +87,7 @@ def test_a_floor_is_learned_of_what_it_does(ahead):
 def test_on_an_even_floor_none_is_learned():
     for seed in range(5):
         start, moved, scatter = rows(150, seed)
-        none = Floor(torch.zeros(1, 3, 3), torch.zeros(2), torch.ones(1), torch.ones(1))
+        none = Floor(torch.zeros(1, 3, 3), torch.zeros(2), 1.0, 1.0)
         assert fitted(none, start, moved, scatter) is None
     same = torch.zeros(20, 3, dtype=torch.float64)
     generator = torch.Generator()

@@ -21,7 +21,7 @@ from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
-from neurosim.simulators.motion.floor import NAMES as FLOOR
+from neurosim.simulators.motion.floor import TENSORS as FLOOR
 from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import OUTPUTS, MotionNetwork
@@ -76,7 +76,11 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
             if sensors is None
             else {"sensors": {"names": list(sensors.names), "cell": sensors.cell}}
         ),
-        **({} if simulator.floor is None else {"floor": list(FLOOR)}),
+        **(
+            {}
+            if simulator.floor is None
+            else {"floor": {"length": simulator.floor.length, "ahead": simulator.floor.ahead}}
+        ),
         **simulator.meta,
     }
     tensors = {
@@ -156,16 +160,9 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         expected |= {"sensors.mount": (count, 2), "sensors.noise": (count, 2)}
         expected |= {"sensors.place": (count,), "sensors.origin": (2,)}
         expected["sensors.maps"] = (None, None, None)
-    floored = content.get("floor") is not None
-    if floored:
-        if content["floor"] != list(FLOOR):
-            raise FileError(
-                path,
-                "is not a floor that this version reads: train the simulator again",
-                field="floor",
-            )
-        expected["floor.weights"] = (1 + members, None, None)
-        expected |= {"floor.origin": (2,), "floor.length": (1,), "floor.ahead": (1,)}
+    floor = content.get("floor")
+    if floor is not None:
+        expected |= {"floor.weights": (1 + members, None, None), "floor.origin": (2,)}
     tensors = files.read_tensors(Path(folder) / "weights.safetensors", expected)
     if (tensors["input_scale"] <= 0).any():
         weights = Path(folder) / "weights.safetensors"
@@ -192,7 +189,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             known,
             files.made(path, "correction", Correction, content.get("correction", {})),
             _sensors(path, content, loaded),
-            Floor(**_part(loaded, "floor.")) if floored else None,
+            None if floor is None else _floor(floor, loaded),
         )
     except ValueError as error:
         raise FileError(path, f"is not a motion network ({error})") from None
@@ -242,6 +239,10 @@ def _part(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.T
 
 def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
     return NoiseModel(**{name: tensors[f"noise.{name}"] for name in NoiseModel.SHAPES})
+
+
+def _floor(said: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]) -> Floor:
+    return Floor(loaded["floor.weights"], loaded["floor.origin"], said["length"], said["ahead"])
 
 
 def _tensors(

@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -40,26 +39,32 @@ class Floor:
     Attributes:
         weights: [1 + M, NY, NX] of the bells: the mean's, and each member's.
         origin: [2] x and y of the first bell, m, board frame.
-        length: [1] standard deviation of a bell, m; centres are :data:`SPACING` of it apart.
-        ahead: [1] how much of the lost fraction the way loses too, 0..1: less where it is known of
-            turns alone.
+        length: standard deviation of a bell, m; centres are :data:`SPACING` of it apart.
+        ahead: how much of the lost fraction the way loses too, 0..1.
+        map: of each network, [1 + M, NY, NX, 3]: lost fraction, and its gradient (1/m).
     """
 
     weights: Tensor
     origin: Tensor
-    length: Tensor
-    ahead: Tensor
+    length: float
+    ahead: float
+    map: Tensor = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name, shape in {"origin": (2,), "length": (1,), "ahead": (1,)}.items():
-            if tuple(getattr(self, name).shape) != shape:
-                raise ValueError(f"floor's {name} must be of shape {shape}")
-        for name in NAMES:
+        for name in TENSORS:
             object.__setattr__(self, name, getattr(self, name).detach().cpu().double())
+        if tuple(self.origin.shape) != (2,):
+            raise ValueError("floor's origin must be of shape (2,)")
         if self.weights.ndim != 3 or min(self.weights.shape) < 1:
             raise ValueError("floor's weights must be of networks, rows and columns")
-        if not float(self.length) > 0:
-            raise ValueError("floor's length must be above 0")
+        if not self.length > 0 or not 0 <= self.ahead <= 1:
+            raise ValueError("floor's length must be above 0, and the way's part between 0 and 1")
+        rows, columns = (
+            1 + math.ceil((SPACING * (count - 1) + 4.0) / CELL) for count in self.weights.shape[1:]
+        )
+        bells = self.bells(_grid(self.corner, self.cell, (rows, columns)))
+        values = torch.einsum("cpk,mk->mpc", bells, self.weights.flatten(1))
+        object.__setattr__(self, "map", values.unflatten(1, (rows, columns)).contiguous())
 
     @property
     def centres(self) -> Tensor:
@@ -68,25 +73,16 @@ class Floor:
 
     def bells(self, points: Tensor) -> Tensor:
         """Return bells and their gradients [3, P, K] at points [P, 2]: value, along x, along y."""
-        length = self.length.to(points)
-        off = (self.centres.to(points) - points.unsqueeze(1)) / length
+        off = (self.centres.to(points) - points.unsqueeze(1)) / self.length
         value = (-0.5 * off.square().sum(2)).exp()
-        return torch.stack([value, value * off[..., 0] / length, value * off[..., 1] / length])
-
-    @cached_property
-    def map(self) -> Tensor:
-        """The map of each network, [1 + M, NY, NX, 3]: fraction, and its gradient (1/m)."""
-        rows, columns = (
-            1 + math.ceil((SPACING * (count - 1) + 4.0) / CELL) for count in self.weights.shape[1:]
+        return torch.stack(
+            [value, value * off[..., 0] / self.length, value * off[..., 1] / self.length]
         )
-        bells = self.bells(_grid(self.corner, CELL * self.length, (rows, columns)))
-        values = torch.einsum("cpk,mk->mpc", bells, self.weights.flatten(1))
-        return values.unflatten(1, (rows, columns)).contiguous()
 
     @property
     def cell(self) -> float:
         """Distance between the points of the map, m."""
-        return CELL * float(self.length)
+        return CELL * self.length
 
     @property
     def corner(self) -> Tensor:
@@ -106,7 +102,7 @@ class Floor:
         lost, along_x, along_y = self._at(points, network).unbind(-1)
         turn = (chords[..., 0] * along_y - chords[..., 1] * along_x).sum(1)
         turn = turn - moved[:, 2] * lost.mean(1)
-        chord = (chords * (1.0 - self.ahead.to(pose) * lost).unsqueeze(-1)).sum(1)
+        chord = (chords * (1.0 - self.ahead * lost).unsqueeze(-1)).sum(1)
         ahead = se2.rotate(turn / 2.0 - pose[:, 2], chord)
         return torch.cat([ahead, (moved[:, 2] + turn).unsqueeze(1)], dim=1)
 
@@ -133,7 +129,7 @@ class Floor:
 
 
 #: The tensors of a floor, by name.
-NAMES = tuple(one.name for one in fields(Floor))
+TENSORS = ("weights", "origin")
 
 
 def even() -> dict[str, Any]:
@@ -146,9 +142,12 @@ def even() -> dict[str, Any]:
     }
 
 
-def _grid(origin: Tensor, step: Tensor, shape: Sequence[int]) -> Tensor:
+def _grid(origin: Tensor, step: float, shape: Sequence[int]) -> Tensor:
     """Return the points of a grid of rows and columns, [rows * columns, 2], row by row."""
-    y, x = (origin[1 - axis] + step * torch.arange(count) for axis, count in enumerate(shape))
+    y, x = (
+        origin[1 - axis] + step * torch.arange(count, dtype=torch.float64)
+        for axis, count in enumerate(shape)
+    )
     return torch.cartesian_prod(y, x).flip(1)
 
 

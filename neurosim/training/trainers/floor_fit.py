@@ -44,7 +44,7 @@ class FloorFit(NamedTuple):
         """Return the size of its map's unevenness, its length (m) and ``ahead``, for people."""
         floor = self.floor
         spread = float(floor.map[0, ..., 0].std())
-        return {"sd": spread, "length": float(floor.length), "ahead": float(floor.ahead)}
+        return {"sd": spread, "length": floor.length, "ahead": floor.ahead}
 
 
 class _Believed(NamedTuple):
@@ -92,12 +92,12 @@ def fit_floor(
     root = trust.sqrt() / sizes
     best: _Believed | None = None
     for fraction in LENGTHS:
-        length = fraction * size.prod().sqrt()
+        length = fraction * float(size.prod().sqrt())
         count = (size / (SPACING * length)).ceil().long() + 3
         origin = start[:, :2].amin(0) - (SPACING * length * (count - 1) - size) / 2
         none = torch.zeros(1, int(count[1]), int(count[0]), dtype=torch.float64)
         for ahead in (0.0, 1.0):
-            where = Floor(none, origin, length.reshape(1), torch.full((1,), ahead))
+            where = Floor(none, origin, length, ahead)
             one = _of_bells(where, start, moved, left, root)
             if one.gain > (BELIEVED if best is None else best.gain):
                 best = one
@@ -132,7 +132,7 @@ def _of_bells(where: Floor, start: Tensor, moved: Tensor, left: Tensor, root: Te
         start, moved, left: as in :func:`fit_floor`.
         root: what makes of ``left`` numbers of about 1, [N, 2].
     """
-    columns = slice(2 if float(where.ahead) else 1)
+    columns = slice(2 if where.ahead else 1)
     scaled = (left * root).clamp(-FAR, FAR)[:, columns]
     whitened = _whitening(where)
     design = _effects(where, start, moved)[:, columns] @ whitened
