@@ -46,11 +46,10 @@ def rows(count, seed, noise=0.002):
     return start * torch.tensor([2.4, 1.6, 6.28]), size * moved, noise * scatter
 
 
-def fitted(floor, start, moved, scatter, way=True):
-    """Return the fit of what a floor makes of rows; if not ``way``, of their turns alone."""
+def fitted(floor, start, moved, scatter):
+    """Return the fit of what a floor makes of rows."""
     after = floor.moved(start, moved) + scatter * torch.tensor([1.0, 1.0, 5.0])
-    ahead = after[:, 0] - moved[:, 0] if way else scatter[:, 0]
-    left = torch.stack([after[:, 2] - moved[:, 2], ahead], 1)
+    left = (after - moved)[:, [2, 0]]
     generator = torch.Generator().manual_seed(0)
     return fit_floor(start, after, left, torch.ones_like(left), 200, generator)
 

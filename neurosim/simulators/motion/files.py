@@ -241,8 +241,10 @@ def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
     return NoiseModel(**{name: tensors[f"noise.{name}"] for name in NoiseModel.SHAPES})
 
 
-def _floor(said: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]) -> Floor:
-    return Floor(loaded["floor.weights"], loaded["floor.origin"], said["length"], said["ahead"])
+def _floor(numbers: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]) -> Floor:
+    return Floor(
+        loaded["floor.weights"], loaded["floor.origin"], numbers["length"], numbers["ahead"]
+    )
 
 
 def _tensors(

@@ -173,7 +173,7 @@ def _log_likelihood(y: Tensor, values: Tensor, along: Tensor, ratio: float) -> f
 
 
 def _whitening(floor: Floor) -> Tensor:
-    """Return what makes bells' weights of independent ones, [K, K], for a process of size 1."""
+    """Return the matrix [K, K] that makes bells' weights of independent normal numbers."""
     covariance = floor.bells(floor.centres)[0]
     covariance.diagonal().add_(_JITTER)
     triangle = torch.linalg.cholesky(covariance)
