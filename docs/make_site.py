@@ -150,9 +150,29 @@ def notebook(source: Path, target: Path, linked: Callable[[str], str] = str) -> 
     return f"{title}\n\n[Download this notebook]({target.stem}.ipynb) to run it.\n{rest}"
 
 
+def gallery(out: Path) -> str:
+    """Return a page of all pictures of the README and the notebooks, which are written to a folder.
+
+    Each picture of a notebook links to it.
+    """
+    text = "# Gallery\n\n![A drive and its prediction](drive.webp)\n\n"
+    for page in sorted((out / "tutorials").glob("*.md")):
+        title = page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        text += f"## {title}\n\n"
+        pictures = {
+            int(path.stem.rpartition("-")[2]): path for path in page.parent.glob(f"{page.stem}-*.*")
+        }
+        for number in sorted(pictures):
+            shown = f"![picture {number}](tutorials/{pictures[number].name}){{ width=420 }}"
+            text += f"[{shown}](tutorials/{page.name})\n"
+        text += "\n"
+    return text
+
+
 def navigation(pages: Pages) -> list[dict[str, Any]]:
     """Return the sections and pages that docs/index.md lists, for Zensical."""
     home = [{"neurosim": pages.add("README.md")}, {"All pages": pages.add("docs/index.md")}]
+    home.append({"Gallery": "gallery.md"})
     sections: list[dict[str, Any]] = [{"Home": home}]
     text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
@@ -173,6 +193,7 @@ def generated(pages: Pages) -> list[dict[str, Any]]:
     for title, made in (
         ("Keys of the JSON files", reference.files()),
         ("Commands", reference.commands()),
+        ("Errors", reference.errors()),
         ("Python", reference.python()),
     ):
         for path, text in made.items():
@@ -197,6 +218,7 @@ def main(site: Path = ROOT / "site", build: Path = ROOT / "build" / "docs") -> N
     nav = navigation(pages)
     pages.add("docs/site.css")
     pages.write()
+    pages.page(pages.out / "gallery.md", gallery(pages.out))
     python = {
         "paths": [str(ROOT)],
         "options": {"extensions": [str(ROOT / "docs" / "docstrings.py")]},

@@ -5,6 +5,7 @@ Each function gives pages, path -> Markdown, for :mod:`make_site`.
 
 from __future__ import annotations
 
+import ast
 import html
 import importlib
 import inspect
@@ -21,6 +22,7 @@ from click.testing import CliRunner
 import neurosim as ns
 from neurosim.back_to_reality import run
 from neurosim.base import checkpoint, formats, place
+from neurosim.base.errors import UserError
 from neurosim.cli import demo, pipeline
 from neurosim.cli._options import SettingsCommand, documented
 from neurosim.cli.main import cli
@@ -133,6 +135,46 @@ def _sections(text: str) -> dict[str, str]:
     return {
         title: f"\n## {title}{body}" for title, body in zip(parts[::2], parts[1::2], strict=True)
     }
+
+
+# Errors
+
+ERRORS = """# Errors
+
+Every message about something that a user can correct, by the file that raises it. Each ends a
+command with exit code 1, and is a `neurosim.UserError` in Python. `…` stands for a name or a value.
+
+"""
+
+
+def errors() -> dict[str, str]:
+    """Return the page of all messages of errors that a user can cause."""
+    text, kinds = ERRORS, {each.__name__ for each in _below(UserError)}
+    for package in ("neurosim", "tracking"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            messages = _messages(path.read_text(encoding="utf-8"), kinds)
+            if messages:
+                text += f"## {path.relative_to(ROOT).as_posix()}\n\n"
+                text += "".join(f"- {escaped(message)}\n" for message in messages) + "\n"
+    return {"reference/errors.md": text}
+
+
+def _below(kind: type) -> list[type]:
+    return [kind, *(each for below in kind.__subclasses__() for each in _below(below))]
+
+
+def _messages(source: str, kinds: set[str]) -> list[str]:
+    """Return the messages of errors of these kinds in a source, in their order."""
+    messages = {}
+    for call in ast.walk(ast.parse(source)):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") in kinds:
+            for given in call.args[:2]:
+                parts = given.values if isinstance(given, ast.JoinedStr) else [given]
+                words = [getattr(part, "value", "") for part in parts]
+                words = [word if isinstance(word, str) else "…" for word in words]
+                if len(" ".join(words).split()) > 2:
+                    messages[call.lineno] = " ".join("".join(words).split())
+    return [messages[line] for line in sorted(messages)]
 
 
 # Files

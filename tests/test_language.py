@@ -1,9 +1,11 @@
 """Messages and help are plain English: some words and patterns do not come back."""
 
 import ast
+import re
 from pathlib import Path
 
 import click
+import make_site
 import pytest
 from plain_words import NAMES, NOT_IN_DOCSTRINGS, NOT_IN_MESSAGES, NOT_IN_NAMES
 
@@ -87,6 +89,15 @@ def names(source):
             for key in node.keys:
                 if isinstance(key, ast.Constant) and isinstance(key.value, str):
                     yield key.lineno, key.value
+
+
+def test_errors_are_short():
+    """No part of an error, between full stops, semicolons and colons, has more than 25 words."""
+    messages = [
+        each[2:] for each in make_site.reference.errors()["reference/errors.md"].splitlines()
+    ]
+    parts = [part for message in messages for part in re.split(r"(?<=[.;:]) ", message)]
+    assert not [part for part in parts if len(re.findall(r"[\w'-]*\w[\w'-]*", part)) > 25]
 
 
 def test_names():

@@ -66,10 +66,11 @@ def test_all_pages_are_there(site):
     expected = {f"{path.stem}.html" for path in (ROOT / "docs").glob("*.md")}
     expected |= {f"tutorials/{path.stem}.html" for path in (ROOT / "notebooks").glob("*.ipynb")}
     expected |= {f"reference/commands/{name}.html" for name in cli.commands}
-    expected.add("pages.html")
+    expected |= {"pages.html", "gallery.html", "reference/errors.html"}
     assert expected <= set(pages)
     # The first page is the README, and each page has the navigation to all of them.
     assert "A robot builds its own simulator." in pages["index.html"].text
+    assert sum("tutorials/" in load for load in pages["gallery.html"].loads) > 15
     assert expected <= {posixpath.normpath(link) for link in pages["pipeline.html"].links}
 
 
@@ -134,6 +135,14 @@ def test_commands_have_pages_with_their_help():
     assert "## Options of --reality virtual-khepera\n" in evolve
 
 
+def test_errors_are_listed_by_their_messages():
+    (text,) = reference.errors().values()
+    by_file = dict(zip(*[iter(re.split(r"^## (.*)$", text, flags=re.M)[1:])] * 2, strict=True))
+    assert "- there is no … …; …\n" in by_file["neurosim/base/registry.py"]
+    assert "are too few to learn sensors from" in by_file["neurosim/training/sensors.py"]
+    assert text.count("\n- ") > 600
+
+
 def test_files_have_their_keys():
     (text,) = reference.files().values()
     shown = dict(
@@ -179,7 +188,7 @@ def test_a_missing_builder_is_named(monkeypatch, tmp_path):
 def test_a_link_to_nothing_is_an_error(tmp_path):
     pages = make_site.Pages(tmp_path)
     text = "[a](../README.md#x)\n```\n[b](c)\n```\n"
-    assert pages.linked(text, "docs/x.md") == text.replace("..", "source")
+    assert pages.linked(text, "docs/x.md") == text.replace("../README", "index")
     with pytest.raises(SystemExit, match="nowhere"):
         pages.linked("[a](gone.md)", "docs/x.md")
 

@@ -117,8 +117,8 @@ def calibrate(
         raise UserError("--corners takes one photograph of the board and no other points")
     elif board is None:
         raise UserError(
-            "--corners needs the size of the board: measure its length (from the top left to the "
-            "top right corner) and its width, and name them with --board, such as 2.76x1.84"
+            "--corners needs the size of the board: measure length (top left to top right corner) "
+            "and width, and name them with --board, such as 2.76x1.84"
         )
     else:
         model = from_corners(photographs[0], list(corners), board)

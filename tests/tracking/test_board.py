@@ -55,7 +55,7 @@ def test_a_lens_that_is_known_is_used():
 
 
 def test_a_height_that_cannot_be_is_refused():
-    with pytest.raises(UserError, match="50 m above"):
+    with pytest.raises(UserError, match="height of 50 m"):
         camera_over_board((640, 480), clicked(camera()), height=50.0)
 
 
