@@ -171,9 +171,8 @@ def gallery(out: Path) -> str:
 
 def navigation(pages: Pages) -> list[dict[str, Any]]:
     """Return the sections and pages that docs/index.md lists, for Zensical."""
-    home = [{"neurosim": pages.add("README.md")}, {"All pages": pages.add("docs/index.md")}]
-    home.append({"Gallery": "gallery.md"})
-    sections: list[dict[str, Any]] = [{"Home": home}]
+    sections: list[dict[str, Any]] = [{"Home": pages.add("README.md")}]
+    added = {"Results": {"Gallery": "gallery.md"}, "Project": {"All pages": "pages.md"}}
     text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
         title, _, items = section.partition("\n")
@@ -183,6 +182,7 @@ def navigation(pages: Pages) -> list[dict[str, Any]]:
         ]
         if title == "Reference":
             listed += generated(pages)
+        listed += [added[title]] if title in added else []
         sections.append({title: listed if len(listed) > 1 else next(iter(listed[0].values()))})
     return sections
 
@@ -216,6 +216,7 @@ def main(site: Path = ROOT / "site", build: Path = ROOT / "build" / "docs") -> N
     shutil.rmtree(build, ignore_errors=True)
     pages = Pages(build / "pages")
     nav = navigation(pages)
+    pages.add("docs/index.md")
     pages.add("docs/site.css")
     pages.write()
     pages.page(pages.out / "gallery.md", gallery(pages.out))

@@ -40,6 +40,7 @@ SHORTER = {
             "    generations=3,\n    later_generations=3,\n    candidates=4,"
         ),
         "adapt_generations=6": "adapt_generations=3",
+        "confirm=3,\n    trials=3,": "confirm=2,\n    trials=1,",
         "np.tile(genes, (10, 1))": "np.tile(genes, (2, 1))",
     },
 }
