@@ -13,7 +13,8 @@ Two things are measured:
   is left out where its predicted mean ends beyond the board's edge, on a floor that the simulator
   has learned nothing of (a recorder cuts it short at the line);
 - sequences of ten commands from rest: the fraction of final positions within the 50, 80 and 95 %
-  regions (ellipses about the mean of the simulated positions, in the shape of their covariance).
+  regions (ellipses about the mean of the simulated positions, in the shape of their covariance),
+  and of final headings within the central intervals.
   A sequence is left out where its predicted mean path comes close to the board's edge.
 
 What happens to a command or sequence that is left out is not looked at.
@@ -44,7 +45,7 @@ from neurosim.lab.nxt.physics import S
 from neurosim.recording.commands import RandomCommands
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.training import evaluate, train
-from neurosim.training.coverage import LEVELS, central_ranks, region
+from neurosim.training.coverage import LEVELS, central, central_ranks, region
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 OUTPUTS = ("dx", "dy", "dtheta")
@@ -115,8 +116,8 @@ def on_board(poses: NDArray, edge: float = EDGE) -> NDArray:
 
 def single_commands(
     simulator: MotionNetwork, drives: Drives, count: int
-) -> tuple[NDArray, NDArray]:
-    """Return inputs (N, 5) and true displacements (N, 3) of commands given in a row."""
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Return starts (N, 3), inputs (N, 5) and true displacements (N, 3) of commands in a row."""
     inputs, times, kept = [], [], []
     while sum(kept) < count:
         drives.put(drives.pose())
@@ -133,7 +134,7 @@ def single_commands(
     drives.put(np.zeros(3))
     kept = np.flatnonzero(kept)[:count]
     start, end = np.moveaxis(drives.poses(times), 1, 0)[:, kept]
-    return np.array(inputs)[kept], se2.between(start, end)
+    return start, np.array(inputs)[kept], se2.between(start, end)
 
 
 def sequences(
@@ -165,9 +166,9 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
     rig = VirtualRig(options.lab_seed, noise_seed=10_000 + options.seed, camera=False)
     with rig, rig.robot:
         drives = Drives(rig, options.seed)
-        inputs, actual = single_commands(simulator, drives, options.commands)
+        places, inputs, actual = single_commands(simulator, drives, options.commands)
         starts, commands, ends = sequences(simulator, drives, options.sequences, options.length)
-    ranks = central_ranks(simulator, inputs, actual, options.seed, options.draws)
+    ranks = central_ranks(simulator, inputs, actual, options.seed, options.draws, starts=places)
     assert ranks is not None  # main refuses simulators without noise
     moving = inputs[:, 2:4].any(1)
     some = {
@@ -182,15 +183,22 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
         for place, name in enumerate(OUTPUTS)
     }
 
-    points = np.empty((options.draws, len(starts), 2))
+    poses = np.empty((options.draws, len(starts), 3))
     for n, (start, given) in enumerate(zip(starts, commands, strict=True)):
         state = simulator.start(torch.tensor(start).expand(options.draws, 3), generator)
         for command in torch.tensor(given):
             state = simulator.step(state, command.expand(options.draws, 3), generator)
-        points[:, n] = state[:, :2]
+        poses[:, n] = state[:, :3]
+    points, off = poses[..., :2], poses[..., 2] - ends[:, 2]
+    turned = np.mod(off + np.pi, 2 * np.pi) - np.pi
     table[f"position after {options.length}"] = coverage(region(points, ends[:, :2]))
+    table[f"heading after {options.length}"] = coverage(central(turned, np.zeros(len(ends))))
     error = np.linalg.norm(points.mean(0) - ends[:, :2], axis=1)
-    return {"table": table, "median distance from the predicted mean (m)": float(np.median(error))}
+    return {
+        "table": table,
+        "median distance from the predicted mean (m)": float(np.median(error)),
+        "median turn from the predicted mean (rad)": float(np.median(np.abs(turned.mean(0)))),
+    }
 
 
 def coverage(ranks: NDArray) -> dict[str, float]:
@@ -236,6 +244,7 @@ def words(result: dict) -> str:
     lines = [f"{'virtual lab, % within':24}" + "".join(f"{100 * p:8.0f} %" for p in LEVELS)]
     for name, row in result["table"].items():
         lines.append(f"{name:24}" + "".join(f"{100 * row[str(p)]:10.1f}" for p in LEVELS))
+    lines += [f"{name}: {value:.3f}" for name, value in result.items() if name.startswith("median")]
     return "\n".join(lines)
 
 
