@@ -851,7 +851,8 @@ class SensorTables(Format):
     """Tables of readings by distance (m) and angle.
 
     Attributes:
-        objects: objects in front of the sensors, wall and cylinder.
+        objects: kinds of objects in front of the sensors, such as wall, cylinder and
+            cylinder-12.5mm; or light.
         first_distance: first distance of the tables, m.
         distance_step: difference of two distances, m.
         repeated: whether samples were repeated.
@@ -906,7 +907,8 @@ class Tables(Simulator, kw_only=True):
 
     Attributes:
         kind: its kind.
-        sensors: tables of readings.
+        sensors: tables of readings of proximity.
+        lights: table of readings of ambient light.
         motors: tables of motion.
         radius: radius of the robot, m.
         noise: noise of sensors and motors.
@@ -920,6 +922,7 @@ class Tables(Simulator, kw_only=True):
     radius: Annotated[float, Meta(ge=0.001, le=10)]
     noise: TableNoise
     place: Place
+    lights: SensorTables | None = None
     reaction: Reaction | None = None
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -394,9 +394,26 @@ def paper_arena() -> Place:
     return Place.rectangle(0.60, 0.35, [(x, 0.0, 0.0275) for x in (-0.12, 0.0, 0.12)])
 
 
+def lit_arena() -> Place:
+    """Return a room of 80 x 60 cm with a light in a corner, and a wall before it."""
+    return replace(
+        Place.rectangle(0.80, 0.60), walls=((0.0, 0.05, 0.15, 0.05),), lights=((0.20, 0.15),)
+    )
+
+
+def cylinder_arena() -> Place:
+    """Return a room of 40 x 40 cm with a cylinder of 25 mm across, as of evorobotpy2's ErDiscrim.
+
+    There it stands anywhere in one half of the room: here in the middle of that half.
+    """
+    return Place.rectangle(0.40, 0.40, [(0.0, -0.05, 0.0125)])
+
+
 #: Places by name.
 NAMED = {
     "arena": paper_arena,
+    "lit-arena": lit_arena,
+    "cylinder-arena": cylinder_arena,
     "board": lambda: Place(board=Board()),
     "rectangle": lambda: Place.with_line("rectangle"),
     "ellipse": lambda: Place.with_line("ellipse"),

@@ -110,6 +110,12 @@ def is_given(name: str) -> bool:
     return context is not None and context.get_parameter_source(name) not in unset
 
 
+def warn_of(simulator: Any) -> None:
+    """Print a simulator's notes on stderr."""
+    for note in simulator.notes:
+        click.echo(f"neurosim: {note}", err=True)
+
+
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
     """Print a command's result: JSON for machines, or text for people.
 

@@ -282,9 +282,11 @@ class Group:
         default = each.default
         if (units := self.units.get(each.name)) is not None:
             pair = (units,) if isinstance(units, str) else units
-            hints = (each.hint,) if isinstance(units, str) else get_args(each.hint)
-            quantities = [Real(hint, unit) for hint, unit in zip(hints, pair, strict=True)]
+            listed = isinstance(each.kind, Listed)  # of a list the unit is that of each number
+            hints = get_args(each.hint) if listed or len(pair) > 1 else (each.hint,)
+            quantities = [Real(hint, unit) for hint, unit in zip(hints, pair, strict=not listed)]
             kind = quantities[0] if isinstance(units, str) else click.Tuple(quantities)
+            kind = Listed(kind) if listed else kind
             help_ = re.sub(r", (m|m/s|rad|m and rad)(?=[.;])", f", {' and '.join(pair)}", help_)
         declared, is_flag = f"--{flag}", each.kind is click.BOOL
         if is_flag and default is not False:

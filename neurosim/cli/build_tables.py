@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import emit, json_option, next_step
+from neurosim.cli._common import emit, json_option, next_step, warn_of
 from neurosim.cli._options import SettingsCommand, settings_options
 from neurosim.cli._types import PATH
 
@@ -25,20 +25,21 @@ from neurosim.cli._types import PATH
 def build_tables(
     samples: tuple[Path, ...], out: Path, settings: dict[str, Any], as_json: bool
 ) -> None:
-    """Make a look-up-table simulator of SAMPLES: .sample files of a wall and of a cylinder.
+    """Make a look-up-table simulator of SAMPLES: .sample files of a wall, of cylinders, of a light.
 
-    A file's name contains wall or cylinder. Several files of one object are repeats, from which
-    sensor noise is estimated. The robot's delays are read from the sampling.json next to the motor
-    samples.
+    A file's name contains wall, cylinder or light, and a cylinder's its radius, such as
+    cylinder-12.5mm. Several files of one object are repeats, from which sensor noise is estimated.
+    The robot's delays are read from the sampling.json next to the motor samples.
     """
     from neurosim.sampling import build_tables as build_tables_
 
     simulator = build_tables_(samples, out=out, **settings)
     _, distances, angles, sensors = simulator.sensors.mean.shape
-    motors = settings.get("motors")
+    motors, lights = settings.get("motors"), simulator.lights
     result = {
         "simulator": str(out),
         "sensors": sensors,
+        "objects": [*simulator.sensors.kinds, *(lights.kinds if lights else ())],
         "angles": angles,
         "distances": distances,
         "repeated": simulator.sensors.spread is not None,
@@ -52,14 +53,16 @@ def build_tables(
         "ambient": simulator.sensors.ambient,
         "reaction": simulator.reaction.to_json(),
     }
+    moved = "an ideal robot" if motors is None else f"motors of {motors}"
     emit(
         result,
         as_json,
-        f"{out}: {sensors} sensors at {angles} angles and {distances} distances, "
-        f"{'an ideal robot' if motors is None else f'motors of {motors}'}.\n"
+        f"{out}: {sensors} sensors at {angles} angles and {distances} distances of "
+        f"{', '.join(result['objects'])}; {moved}.\n"
         + _body(result["body"])
         + next_step("evolve", out, "--task", "obstacle-avoidance", "-o", "CONTROLLER"),
     )
+    warn_of(simulator)
 
 
 #: Of what says how large the robot is and how fast: its words, and the option that gives it.

@@ -23,6 +23,7 @@ from neurosim.cli._common import (
     resume_option,
     seed_option,
     tensorboard_option,
+    warn_of,
     warn_unsupported,
 )
 from neurosim.cli._options import (
@@ -243,6 +244,7 @@ def evolve(
     if at_line == "ignore":
         prepared.perimeter = None
     made, family = make_both(prepared, task, task_options, controller, controller_options)
+    warn_of(made.placed(prepared))
     if real_generations:
         evolution = {"runs": 1, **evolution}
     how = default_settings(family, made, optimiser=optimiser, **evolution)

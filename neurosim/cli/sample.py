@@ -34,8 +34,10 @@ if TYPE_CHECKING:
 
 _PROMPTS = {
     "wall": "Put the robot in front of a long wall, facing it and touching it, and press Enter",
-    "cylinder": "Put the robot in front of a round obstacle, facing it and touching it, with "
-    "nothing else near, and press Enter",
+    "cylinder": "Put the robot in front of a round obstacle, {} mm across, facing it and touching "
+    "it, with nothing else near, and press Enter",
+    "light": "Darken the room, put the robot with its front below a lamp, facing where the lamp is "
+    "when the robot backs off, with nothing else near, and press Enter",
     "open": "Put the robot on open floor, 20 cm free all around, under the camera if there is one, "
     "and press Enter",
 }
@@ -60,7 +62,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     "settings",
     "neurosim.sampling.settings:SampleSettings",
     skip=("held_out", "duration"),
-    units={"first": "mm", "step": "mm"},
+    units={"first": "mm", "step": "mm", "cylinders": "mm", "light_step": "mm"},
 )
 @click.option(
     "--camera",
@@ -86,7 +88,7 @@ def sample(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Let a robot sample a wall, a round obstacle and its motors, into the folder OUT.
+    """Let a robot sample a wall, round obstacles, a light and its motors, into the folder OUT.
 
     Put it in front of each when asked. It turns on the spot, backs off, and turns again. On open
     floor it drives its motor settings. Its counters, or a camera, measure the distances; a camera
@@ -112,7 +114,7 @@ def sample(
     else:
         model = CameraModel.read(calibration)
     carried = marker_settings(markers, robot, tag)
-    place, poses = sampling_places()
+    place, poses = sampling_places(how.kinds)
     setup = Setup(
         camera=camera or "none",
         size=None if model is None else tuple(model.image_size),
@@ -140,13 +142,17 @@ def sample(
 def _place(rig: Rig, poses: dict[str, tuple[float, float, float]]) -> Callable[[str], None]:
     """Return a function that has the robot placed: by the lab, or by a person."""
 
+    from neurosim.simulators.tables.sensor_table import radius_of
+
     def by_lab(where: str) -> None:
         assert rig.place is not None
         exact = where == "open"
         rig.place(*poses[where], placing=(0.0, 0.0 if exact else math.radians(1)))
 
     def by_person(where: str) -> None:
-        click.prompt(_PROMPTS[where], default="", show_default=False, prompt_suffix=": ", err=True)
+        kind, _, _ = where.partition("-")
+        text = _PROMPTS[kind].format(f"{2000 * radius_of(where):g}")
+        click.prompt(text, default="", show_default=False, prompt_suffix=": ", err=True)
 
     return by_person if rig.place is None else by_lab
 

@@ -79,9 +79,11 @@ def make_controller(
 
 
 def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
-    """Return the default observations: all sensors, and where the next goal is."""
-    goals = GOAL_INPUTS if task is not None and task.episode.goals is not None else ()
-    return (*simulator.reading_names, *goals)
+    """Return the default observations: the sensors of the task, and where the next goal is."""
+    if task is None:
+        return tuple(simulator.reading_names)
+    goals = () if task.episode.goals is None else GOAL_INPUTS
+    return (*task.placed(simulator).reading_names, *goals)
 
 
 def _within(simulator: Any) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from neurosim.envs.single import CLOSED, made
 from neurosim.recording.closed_loop import Deadlines
 from neurosim.recording.markers import marker_settings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Counters, Sensors, drive_for
+from neurosim.robots.base import Counters, drive_for, read_sensors, sensors_read_with
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
@@ -112,7 +112,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 f"{', '.join(self._face.outputs)}, and the robot {name} is driven by "
                 f"{', '.join(takes)}"
             )
-        names = self.robot.sensor_names if isinstance(self.robot, Sensors) else ()
+        names = sensors_read_with(self.robot)
         lacking = [one for one in self._face.simulator.reading_names if one not in names]
         if self._face.reads and lacking:
             raise UserError(
@@ -236,8 +236,9 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Read the sensors, and where the robot is; one that is not seen is where it was."""
         self._readings = None
         if self._face.reads:
-            read = self.robot.read_sensors()  # type: ignore[attr-defined]
-            values = [read[name] for name in self._face.simulator.reading_names]
+            names = self._face.simulator.reading_names
+            read = read_sensors(self.robot, names)
+            values = [read[name] for name in names]
             self._readings = np.array([values], np.float32)
         if self._odometry is not None:
             self._pose = np.array(self._odometry.read())

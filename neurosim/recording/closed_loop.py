@@ -19,7 +19,7 @@ from neurosim.base.perimeter import UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Observation, SeeingSource
 from neurosim.recording.session import BATTERY_EVERY, LINES, Session
-from neurosim.robots.base import Counters, Robot, Sensors
+from neurosim.robots.base import Counters, Robot, Sensors, read_sensors, sensors_read_with
 from neurosim.robots.odometry import Odometry
 from tracking.datasets.recordings import Recording
 
@@ -67,7 +67,7 @@ def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
         sees: whether a camera tells where the robot is while it drives.
     """
     kind = robot.describe().get("kind", "robot")
-    names = robot.sensor_names if isinstance(robot, Sensors) else ()
+    names = sensors_read_with(robot)
     lacking = [name for name in source.sensors if name not in names]
     gaps = []
     if lacking:
@@ -110,12 +110,13 @@ class ClosedLoopSession(Session):
         self._must_agree = self._must_agree or (source.needs_pose and self._takes.moves_as_known)
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
-        self._sensors = robot if isinstance(robot, Sensors) else None
-        names = () if self._sensors is None else self._sensors.sensor_names
+        wanted = set(source.sensors)
+        if source.reads and not wanted and isinstance(robot, Sensors):
+            wanted.update(robot.sensor_names)
         # What guards the perimeter is read at every step, too.
-        by_light = self._guard.at_line != "ignore" and self._guard.by == "both"
-        guards = by_light and not set(LINES).isdisjoint(names)
-        self._names = names if source.reads or guards else ()
+        if self._guard.at_line != "ignore" and self._guard.by == "both":
+            wanted.update(LINES)
+        self._names = sensors_read_with(robot, wanted)
 
     def run(self) -> bool:
         """Drive between a flash and a flash; return whether nothing is left to be driven."""
@@ -192,7 +193,7 @@ class ClosedLoopSession(Session):
             assert self._spotter is not None
             last = self._spotter.last
             sight = None if last is None else (last[1], due - last[0])
-        readings = self._sensors.read_sensors() if self._sensors and self._names else {}
+        readings = read_sensors(self._robot, self._names)
         return time, Observation(since, pose, readings, sight)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:

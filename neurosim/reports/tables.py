@@ -9,7 +9,7 @@ import numpy as np
 from neurosim.reports.artefacts import Artefacts
 from neurosim.reports.page import Block, Picture, Section, Table
 from neurosim.reports.svg import INK, drawing, to_svg
-from neurosim.simulators.tables.sensor_table import OBJECTS
+from neurosim.simulators.tables.sensor_table import SensorTable
 
 #: Readings at which a sensor's picture gets darker.
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -21,28 +21,30 @@ def samples(artefacts: Artefacts) -> Section | None:
     for place, artefact in enumerate(artefacts.simulators):
         if artefact.sampled:
             simulator = artefact.content
-            blocks += [_sensors(artefact.name, simulator, f"t{place}"), _summary(simulator)]
+            for sense, table in (("", simulator.sensors), ("light ", simulator.lights)):
+                if table is not None:
+                    picture = _sensors(artefact.name, table, f"{sense[:1]}t{place}")
+                    blocks += [picture, _summary(table, sense)]
             blocks.append(_motors(artefact.name, simulator))
     return Section("samples", "Samples of the robot", blocks) if blocks else None
 
 
-def _sensors(name: str, simulator: Any, prefix: str) -> Picture:
-    mean = simulator.sensors.mean
-    _, distances, angles, count = mean.shape
+def _sensors(name: str, table: SensorTable, prefix: str) -> Picture:
+    kinds, distances, angles, count = table.mean.shape
     # Rolled so that the object passes from the right (-180) over ahead (0) to the left (180).
     bearing = -360.0 * (np.arange(angles + 1) - angles // 2) / angles
     column = (np.arange(angles + 1) - angles // 2) % angles
-    distance = 1000 * (
-        simulator.sensors.first_distance + simulator.sensors.distance_step * np.arange(distances)
-    )
-    label = f"{name}: reading of each sensor by bearing and distance of a wall and of an obstacle"
-    with drawing(9.6, 3.4, nrows=2, ncols=count, sharex=True, sharey=True) as (figure, axes):
-        for kind, named in enumerate(OBJECTS):
+    distance = 1000 * (table.first_distance + table.distance_step * np.arange(distances))
+    objects = ", ".join(table.kinds)
+    label = f"{name}: reading of each sensor by bearing and distance of an object ({objects})"
+    size = {"nrows": kinds, "ncols": count, "squeeze": False}
+    with drawing(9.6, 0.6 + 1.4 * kinds, sharex=True, sharey=True, **size) as (figure, axes):
+        for kind, named in enumerate(table.kinds):
             for sensor in range(count):
                 panel = axes[kind][sensor]
                 for level in LEVELS:
                     panel.contourf(
-                        bearing, distance, mean[kind][:, column, sensor], [level, 1.01],
+                        bearing, distance, table.mean[kind][:, column, sensor], [level, 1.01],
                         colors=[INK["predicted"]], alpha=0.25,
                     )  # fmt: skip
                 if kind == 0:
@@ -57,23 +59,23 @@ def _sensors(name: str, simulator: Any, prefix: str) -> Picture:
     return Picture(svg, f"{label}; darker where it reads above {levels}.", wide=True)
 
 
-def _summary(simulator: Any) -> Table:
-    sensors = simulator.sensors
-    bearings = [sensors.bearings(kind) for kind in range(len(OBJECTS))]
+def _summary(table: SensorTable, sense: str) -> Table:
+    bearings = [table.bearings(kind) for kind in range(len(table.kinds))]
     rows = []
-    for sensor in range(sensors.mean.shape[-1]):
-        row = [f"sensor {sensor}", f"{sensors.ambient[sensor]:.3f}"]
-        for kind in range(len(OBJECTS)):
-            highest, looks = sensors.mean[kind, 0, :, sensor].max(), bearings[kind][sensor]
+    for sensor in range(table.mean.shape[-1]):
+        row = [f"{sense}sensor {sensor}", f"{table.ambient[sensor]:.3f}"]
+        for kind in range(len(table.kinds)):
+            highest, looks = table.mean[kind, 0, :, sensor].max(), bearings[kind][sensor]
             row.append(f"{highest:.3f}")
             row.append("sees nothing" if np.isnan(looks) else f"{np.degrees(looks):+.0f}")
-        spread = sensors.spread
+        spread = table.spread
         row.append("not repeated" if spread is None else f"{spread[..., sensor].mean():.3f}")
         rows.append(row)
+    title = f"{sense}sensors".capitalize()
     return Table(
-        f"Sensors: their highest reading at {1000 * sensors.first_distance:g} mm, and the mean "
+        f"{title}: their highest reading at {1000 * table.first_distance:g} mm, and the mean "
         "bearing at which they see the object there",
-        ["", "ambient", *(w for name in OBJECTS for w in (name, "at, deg")), "spread, mean"],
+        ["", "ambient", *(w for name in table.kinds for w in (name, "at, deg")), "spread, mean"],
         rows,
     )
 

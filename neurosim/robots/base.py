@@ -10,7 +10,7 @@ is not connected yet.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -232,6 +232,38 @@ class Proximity(Sensors, Protocol):
     def activations(self) -> NDArray[np.float64]:
         """Read all sensors, [S] in 0..1, 1 where something is near."""
         ...
+
+
+@runtime_checkable
+class LightSensors(Proximity, Protocol):
+    """Measures ambient light with its ring of sensors, too.
+
+    These readings are named ``light_0``, ``light_1``, ... They are read apart from the others, and
+    only where they are wanted, because that takes time.
+    """
+
+    def lights(self) -> NDArray[np.float64]:
+        """Measure the light at all sensors, [S] in 0 (dark) to 1."""
+        ...
+
+
+def sensors_read_with(robot: Robot, wanted: Collection[str] | None = None) -> tuple[str, ...]:
+    """Return the names of the sensors that are read if some are wanted; None: of all sensors."""
+    near = robot.sensor_names if isinstance(robot, Sensors) else ()
+    count = len(robot.angles) if isinstance(robot, LightSensors) else 0
+    light = tuple(f"light_{index}" for index in range(count))
+    groups = [names for names in (near, light) if wanted is None or set(names) & set(wanted)]
+    return tuple(name for names in groups for name in names)
+
+
+def read_sensors(robot: Robot, wanted: Collection[str]) -> dict[str, float]:
+    """Read the sensors that :func:`sensors_read_with` names, by name, each in 0..1."""
+    names, readings = sensors_read_with(robot, wanted), dict[str, float]()
+    if isinstance(robot, Sensors) and set(names) & set(robot.sensor_names):
+        readings = dict(robot.read_sensors())
+    if isinstance(robot, LightSensors) and len(names) > len(readings):
+        readings |= zip(names[len(readings) :], map(float, robot.lights()), strict=True)
+    return readings
 
 
 @runtime_checkable

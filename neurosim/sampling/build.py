@@ -17,7 +17,7 @@ from neurosim.sampling.sampler import FORMAT, VERSION
 from neurosim.simulators.sources import sources
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
-from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.simulators.tables.sensor_table import LIGHT, SensorTable, kind_of
 from neurosim.simulators.tables.simulator import RADIUS, TableSimulator
 
 #: Whole speeds of an ideal robot up to full speed: those of a Khepera.
@@ -50,8 +50,10 @@ def build_tables(
     read from the ``sampling.json`` next to the motor samples, if there is one.
 
     Args:
-        samples: ``.sample`` files of a wall and of a cylinder, one name or the other in the file's
-            name. Several files of one object are repeats, from which sensor noise is estimated.
+        samples: ``.sample`` files of a wall, of a cylinder or several and, if there is one, of a
+            light, each with the kind in the file's name
+            (:func:`~neurosim.simulators.tables.sensor_table.kind_of`). Several files of one object
+            are repeats, from which sensor noise is estimated.
         motors: CSV file or dataset of motor samples: left, right, duration, dx, dy, dtheta; by
             default the robot is an ideal one.
         out: Folder of the new simulator; None: it is not written.
@@ -105,7 +107,9 @@ def build_tables(
     else:
         table = MotorTable.read_csv(motors, resolution=100.0 / units)
         used = [*used, Path(motors)]
-    sensors = SensorTable.from_files([Path(path) for path in samples], convention)
+    of_light = [path for path in samples if kind_of(path) == LIGHT]
+    sensors = SensorTable.from_files([one for one in samples if one not in of_light], convention)
+    lights = SensorTable.from_files(of_light, convention) if of_light else None
     count = sensors.mean.shape[-1]
     if radius is None and count != KHEPERA_SENSORS:
         raise UserError(
@@ -125,6 +129,7 @@ def build_tables(
             **({} if baud is None else {"baud": baud}),
             "body": body,
         },
+        lights=lights,
     )
     if out is not None:
         with files.new_folder(out) as partial:

@@ -23,10 +23,8 @@ from neurosim.base.errors import UserError
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import PIVOTS, TURNS, Turns
 from neurosim.simulators.tables.samples import Samples
-from neurosim.simulators.tables.sensor_table import OBJECTS
+from neurosim.simulators.tables.sensor_table import WALL, radius_of
 
-#: Radius of the round obstacle (the paper's is 5.5 cm across), m.
-OBSTACLE = 0.0275
 #: Standard deviations: of what wheels slip in a turn there and back, m, and of averaged readings.
 _SLIP, _READING = 0.0005, 0.01
 #: A sensor whose mean reading above its median is less says nothing of directions.
@@ -137,7 +135,7 @@ def write_samples(
         pulses: counts of a wheel in a full turn.
         sizes: of the left and of the right wheel, over their mean.
     """
-    keys = [(name, repeat) for name in OBJECTS for repeat in range(1, settings.repeats + 1)]
+    keys = [(name, repeat) for name in settings.kinds for repeat in range(1, settings.repeats + 1)]
     seen = [_Seen(settings, turns, robot, pulses, sizes, *key) for key in keys]
     facing = [_between(seen[0].directions, one.directions) for one in seen]
     facing = np.nan_to_num(facing)
@@ -145,7 +143,7 @@ def write_samples(
     for (name, repeat), one, off in zip(keys, seen, facing - facing.mean(), strict=True):
         path = out / (f"{name}.sample" if repeat == 1 else f"{name}-{repeat}.sample")
         if not path.exists():
-            Samples(one.samples(off), settings.first, settings.step).write(path)
+            Samples(one.samples(off), settings.first, settings.step_at(name)).write(path)
         paths.append(path)
     return paths
 
@@ -167,7 +165,7 @@ class _Seen:
         name: str,
         repeat: int,
     ):
-        self._settings = settings
+        self._settings, self._away = settings, settings.away(name)
         #: Of every distance and half: angles [N], distances and readings [N, 1 + S], fraction [N].
         self._halves: list[list[tuple[_Array, _Array, _Array]]] = []
         off = 0.0
@@ -175,11 +173,12 @@ class _Seen:
             rows = turns[name, repeat, k]
             turned = _turned(rows, sizes)
             ahead, aside = _places(rows, sizes, pulses / robot.pulses_per_metre / math.pi, robot)
-            if name == "wall":
+            if name == WALL:
                 distance, bearing = -ahead, np.zeros(len(rows))
             else:
-                to = robot.geometry.radius + OBSTACLE - ahead
-                distance = np.hypot(to, aside) - robot.geometry.radius - OBSTACLE
+                touching = robot.geometry.radius + radius_of(name)
+                to = touching - ahead
+                distance = np.hypot(to, aside) - touching
                 bearing = np.arctan2(-aside, to)
             progress = np.abs(np.diff(turned, prepend=turned[0])).cumsum()
             columns = np.column_stack(
@@ -219,11 +218,6 @@ class _Seen:
             for _, each, progress in halves:
                 each[:, 0] += before + slipped * progress
             before += slipped
-
-    @property
-    def _away(self) -> _Array:
-        settings = self._settings
-        return settings.first + settings.step * np.arange(settings.distances)
 
     def samples(self, off: float) -> _Array:
         """Return readings [D, A, S] at the settings' distances and angles, turned back by ``off``.

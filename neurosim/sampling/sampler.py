@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.progress import Progress
+from neurosim.robots.base import LightSensors
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
 from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import read_turns, reading_times, sample_object
-from neurosim.simulators.tables.sensor_table import OBJECTS
 
 FORMAT, VERSION = "neurosim-sampling", 2
 
-#: Asks a person to put the robot down, at an object ("wall", "cylinder") or in the open ("open").
+#: Asks a person to put the robot down, at an object of a kind, or in the open ("open").
 Place = Callable[[str], None]
 
 
@@ -43,7 +43,7 @@ def sample(
     lab: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Sample both objects and the motors into a folder.
+    """Sample objects and the motors into a folder.
 
     Args:
         out: folder with ``sampling.json``, ``sensors.csv``, ``motors.csv`` and, for every object
@@ -75,10 +75,12 @@ def sample(
             "this robot cannot sample itself: it needs a ring of proximity sensors, wheel "
             "counters and speeds in whole numbers"
         )
+    if settings.light and not isinstance(robot, LightSensors):
+        raise UserError("this robot does not measure ambient light: leave out --light")
     out = Path(out)
     levels = settings.levels(robot.full_speed)
     about = {
-        "settings": asdict(settings),
+        "settings": {**asdict(settings), "cylinders": list(settings.cylinders)},
         "seed": seed,
         "robot": robot.describe(),
         **({} if lab is None else {"virtual_lab": dict(lab)}),
@@ -104,10 +106,10 @@ def _sample(
     eye: Eye | None,
 ) -> dict[str, Any]:
     """Sample what has not been sampled yet; see :func:`sample`."""
-    total = settings.repeats * settings.distances * len(OBJECTS)
+    total = settings.repeats * settings.distances * len(settings.kinds)
     bar = Progress("sample", total, "turns") if progress else None
     try:
-        for name in OBJECTS:
+        for name in settings.kinds:
             for repeat in range(1, settings.repeats + 1):
                 sample_object(out, robot, settings, name, repeat, place, bar)
                 full_turn(read_turns(out))  # counters that are taken for others are said at once

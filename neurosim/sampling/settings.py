@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from neurosim.base.declared import Checked, CountOrNone
 from neurosim.base.errors import UserError
 from neurosim.robots.base import Counters, Proximity, Robot, WholeSpeeds
+from neurosim.simulators.tables.sensor_table import LIGHT, OBSTACLE, WALL, cylinder
 
 #: A robot with more whole speeds of a motor than this drives a grid of them.
 MOST_SPEEDS = 101
@@ -31,6 +32,9 @@ class SampleSettings(Checked):
         distances: Number of distances from the object.
         first: First distance, from the robot's rim to the object's surface, m.
         step: From distance to distance, m.
+        cylinders: Radii of the round obstacles, m.
+        light: Also sample a light, with the sensors of ambient light.
+        light_step: From distance to distance at the light, m.
         repeats: Repetitions; at least two to estimate sensor noise.
         grid: Drive a grid with this number of speeds of each motor, and some other settings to
             measure the interpolation error; 0: every whole speed of the robot. Evenly from full
@@ -43,10 +47,32 @@ class SampleSettings(Checked):
     distances: Annotated[int, Meta(ge=2, le=1000)] = 20
     first: Annotated[float, Meta(ge=0, le=1)] = 0.005
     step: Annotated[float, Meta(ge=0.0001, le=1)] = 0.002
+    cylinders: tuple[Annotated[float, Meta(ge=0.001, le=1)], ...] = (OBSTACLE,)
+    light: bool = False
+    light_step: Annotated[float, Meta(ge=0.0001, le=1)] = 0.02
     repeats: Annotated[int, Meta(ge=1, le=1000)] = 1
     grid: CountOrNone = 0
     held_out: CountOrNone = 12
     duration: Annotated[float, Meta(ge=0.1, le=10)] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "cylinders", tuple(self.cylinders))
+        if not self.cylinders or len(set(self.kinds)) < len(self.kinds):
+            raise UserError("give the radii of one or more round obstacles, each of another size")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of objects to sample, in order."""
+        return (WALL, *map(cylinder, self.cylinders), *(LIGHT,) * self.light)
+
+    def step_at(self, kind: str) -> float:
+        """Return the difference of two distances from an object of a kind, m."""
+        return self.light_step if kind == LIGHT else self.step
+
+    def away(self, kind: str) -> NDArray[np.float64]:
+        """Return the distances from an object of a kind, [distances] m."""
+        return self.first + self.step_at(kind) * np.arange(self.distances)
 
     def levels(self, full_speed: int) -> NDArray[np.int64]:
         """Return the speeds to drive, in the robot's units.

@@ -21,6 +21,7 @@ from neurosim.base.errors import RobotError
 from neurosim.base.progress import Progress
 from neurosim.robots.odometry import Odometry
 from neurosim.sampling.settings import Sampler, SampleSettings
+from neurosim.simulators.tables.sensor_table import LIGHT
 
 #: How far it turns, in nominal full turns: enough to see the beginning of the turn again.
 TURNS = 7 / 6
@@ -75,7 +76,7 @@ def sample_object(
         last = int(numbers.max()) if len(numbers) else 0
     with files.LineLog(path, _COLUMNS) as log:
         for turn, distance in enumerate(left_to_do, last + 1):
-            away = settings.first + distance * settings.step
+            away = float(settings.away(name)[distance])
             whereabouts.go(-1, -1, partial(_further, whereabouts, away))
             _turn(robot, whereabouts, log, (name, repeat, distance, turn))
             if bar is not None:
@@ -165,6 +166,7 @@ def _turn(
     signs: tuple[int, int] = (-1, 1),
 ) -> None:
     """Turn by more than a full turn, to the left by default, and back, and write it all down."""
+    read = robot.lights if what[0] == LIGHT else robot.activations  # type: ignore[attr-defined]
     full = TURNS * math.pi * robot.geometry.wheel_base * robot.pulses_per_metre
     pace = pace_of(robot, SLOW)
     whereabouts.read()
@@ -176,7 +178,7 @@ def _turn(
             # The sensors are scanned right behind the counters.
             whereabouts.read()
             begin = robot.clock.now()
-            readings = robot.activations()
+            readings = read()
             now = robot.clock.now()
             turned = sense * whereabouts.turned
             done = turned <= 0 if back else turned >= full

@@ -22,8 +22,8 @@ from neurosim.simulators.numbers import numbers as random_numbers
 from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
-#: 8 has the place of tables.
-FORMAT, VERSION = "neurosim-simulator", 10
+#: 8 has the place of tables, 10 a floor, 11 may have several cylinders and a light in tables.
+FORMAT, VERSION = "neurosim-simulator", 11
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
@@ -55,6 +55,21 @@ class InPlace(Protocol):
 
     def changed(self, *, place: Place = ..., noise: Any = ...) -> Simulator:
         """Return the simulator in another place, or with other noise."""
+        ...
+
+
+@runtime_checkable
+class Sensing(Protocol):
+    """A simulator with sensors in several senses, such as proximity and light.
+
+    Attributes:
+        senses: those that are read.
+    """
+
+    senses: tuple[str, ...]
+
+    def changed(self, *, senses: tuple[str, ...] = ...) -> Simulator:
+        """Return the simulator with other senses."""
         ...
 
 
@@ -114,6 +129,7 @@ class Simulator:
         state_names: the columns of a state; the first three are x (m), y (m), theta (rad).
         command_names: the columns of a command; a ``duration`` (s), where there is one, is last.
         reading_names: of the sensors that :meth:`sense` reads; none by default.
+        notes: sentences for the user, such as about obstacles of a size that was not sampled.
         members: how many networks an ensemble has; a state may name one.
         has_noise: whether :meth:`step` or :meth:`sense` draws noise where it is given a generator.
         noise_width: where above 0, ``step`` and ``sense`` also take the numbers that the noise is
@@ -151,6 +167,7 @@ class Simulator:
     state_names: tuple[str, ...]
     command_names: tuple[str, ...]
     reading_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     members: int = 1
     has_noise: bool = False
     noise_width: int = 0

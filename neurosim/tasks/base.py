@@ -24,7 +24,7 @@ from neurosim.base.perimeter import ENDS, LONGEST_ARC, Perimeter
 from neurosim.base.place import Place
 from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
-from neurosim.simulators.base import InPlace, Simulator
+from neurosim.simulators.base import InPlace, Sensing, Simulator
 
 #: Columns of a record that the guard adds; see :meth:`Task.new_record`.
 _GUARD = 4
@@ -129,6 +129,8 @@ class Task(Checked):
         place: the place of the trials; None: as the simulator has it. A task that
             has it as a field takes a :class:`neurosim.base.place.Place`, and anything that
             :meth:`neurosim.base.place.Place.of` takes.
+        senses: of sensors in several senses those that are read, "proximity" or "light"; None: as
+            the simulator has them.
         longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be replanned after every command by default, because no
@@ -158,6 +160,7 @@ class Task(Checked):
     stop_penalty: float = 0.0
     perimeter: Perimeter | None = None
     place: Place | None = None
+    senses: tuple[str, ...] | None = None
     longest_arc: float = LONGEST_ARC
     fitness_unit: ClassVar[str] = ""
     replanned: ClassVar[bool] = False
@@ -205,10 +208,13 @@ class Task(Checked):
         raise unwritten(self, "worth")
 
     def placed(self, simulator: Simulator) -> Simulator:
-        """Return a simulator in the task's place, where there is one and the simulator takes it."""
-        if self.place is None or not isinstance(simulator, InPlace):
-            return simulator
-        return simulator.changed(place=self.place)
+        """Return a simulator in the task's place and with its senses, where there are such."""
+        changes: dict[str, Any] = {}
+        if self.place is not None and isinstance(simulator, InPlace):
+            changes["place"] = self.place
+        if self.senses is not None and isinstance(simulator, Sensing):
+            changes["senses"] = self.senses
+        return simulator.changed(**changes) if changes else simulator  # type: ignore[attr-defined]
 
     def in_place(self, place: Place) -> Self:
         """Return the task in a place; itself, if it takes none."""

@@ -43,6 +43,7 @@ class ObstacleAvoidance(Task):
 
     name: ClassVar[str] = "obstacle-avoidance"
     reasons: ClassVar[tuple[str, ...]] = ("drove too slowly, or too near to things",)
+    senses: ClassVar[tuple[str, ...]] = ("proximity",)  # type: ignore[misc]
 
     fitness: Literal["avoidance", "cells"] = "avoidance"
     steps: Count = 500

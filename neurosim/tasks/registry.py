@@ -18,6 +18,8 @@ TASKS = Registry(
         "obstacle-avoidance": "neurosim.tasks.obstacle_avoidance:ObstacleAvoidance",
         "go-to": "neurosim.tasks.go_to:GoTo",
         "follow-line": "neurosim.tasks.follow_line:FollowLine",
+        "phototaxis": "neurosim.tasks.stay_near:Phototaxis",
+        "discrimination": "neurosim.tasks.stay_near:Discrimination",
         "walking": "neurosim.tasks.walking:Walking",
     },
 )

@@ -19,7 +19,7 @@ from neurosim.lab import VirtualKheperaRig
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
 from neurosim.recording.commands import Command, Observation
-from neurosim.robots.base import Counters, Proximity, Robot, drive_for
+from neurosim.robots.base import Counters, Proximity, Robot, drive_for, read_sensors
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import InPlace
@@ -157,13 +157,14 @@ class OnFloor:
         """
         step, open_loop = self.evaluator.episode.step, self.evaluator.controller.open_loop
         driver = Driver(self._saved(genes), self.evaluator.episode, {}, self.robot.commands)
+        names = self.evaluator.simulator.reading_names
         clock, readings, commands = self.robot.clock, [], []
         poses = [] if pose is None else [pose()]
         time = clock.now()
         for number in range(max(driver.steps, 1) if open_loop else steps):
             if self._given_up:
                 raise LinkLost("the trial was given up")
-            seen = self.robot.read_sensors()
+            seen = read_sensors(self.robot, names)
             command = Command((0.0, 0.0), step)  # of a plan without any
             if driver.steps:
                 command = driver.react(Observation(number * step, None, seen))

@@ -93,6 +93,56 @@ def test_generations_on_a_robot(folder):
     assert "in the simulator and on the robot, start 1" in (folder / "page.html").read_text()
 
 
+@pytest.mark.slow
+def test_a_robot_samples_a_light_and_drives_to_it(tmp_path):
+    """From the first sample to the trial, through the virtual robot's serial line."""
+    samples = tmp_path / "samples"
+    done = call(
+        "sample", samples, "--light", "--cylinders", "27.5,12.5", "--angles", 24, "--distances", 3,
+        "--step", 15, "--light-step", 120, "--grid", 3, "--lab-seed", 2,
+    )  # fmt: skip
+    names = ("wall", "cylinder", "cylinder-12.5mm", "light")
+    paths = [samples / f"{name}.sample" for name in names]
+    assert all(str(path) in done.output for path in paths)
+    near = [Samples.read(path).activations[0] for path in paths[:3]]
+    wall, large, small = (float(each.sum()) for each in near)
+    assert wall > large > small
+    light = Samples.read(paths[3])
+    assert (light.first_distance, light.distance_step) == (0.005, 0.12)
+    brightest = light.activations.max(axis=(1, 2))
+    # A light halves the reading of 480 at 12 cm, and 512 is dark: 1 - 480 / (1 + (12 / d)^2) / 512.
+    assert brightest == pytest.approx([1.0, 0.53, 0.23], abs=0.06)
+    done = call("build-tables", *paths, "--motors", samples / "motors.csv", "-o", tmp_path / "sim")
+    assert "of wall, cylinder-12.5mm, cylinder, light; motors of" in done.output
+    place = Place((*Place.rectangle(0.6, 0.5).outline,), lights=((0.15, 0.1),), start=(-0.2, 0, 0))
+    place.write(tmp_path / "lit.json")
+    done = call(
+        "evolve", tmp_path / "sim", "--task", "phototaxis", "--place", tmp_path / "lit.json",
+        "--generations", 12, "--population", 40, "--seconds", 20, "-o", tmp_path / "net",
+    )  # fmt: skip
+    network = read_controller(tmp_path / "net")
+    assert {one.partition("_")[0] for one in network.controller.inputs} == {"light"}
+    call(
+        "run", tmp_path / "net", "--robot", "virtual-khepera", "--camera", "none",
+        "-o", tmp_path / "trial", "--lab-seed", 2,
+    )  # fmt: skip
+    trial = json.loads((tmp_path / "trial" / "trial.json").read_text())
+    assert trial["actual"]["fitness"] > 0.4
+    observed = (tmp_path / "trial" / "observations.csv").read_text().splitlines()
+    assert observed[0].endswith(",light_0,light_1,light_2,light_3,light_4,light_5,light_6,light_7")
+    call("report", tmp_path / "sim", "-o", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "Light sensors: their highest reading" in page
+    # In a place with another size of obstacle its likeness is named.
+    odd = Place.rectangle(0.6, 0.5, [(0.1, 0.1, 0.02)])
+    odd.write(tmp_path / "odd.json")
+    done = call(
+        "evolve", tmp_path / "sim", "--task", "obstacle-avoidance", "--generations", 1,
+        "--population", 5, "--place", tmp_path / "odd.json", "-o", tmp_path / "other",
+    )  # fmt: skip
+    assert "obstacles of 20 mm radius were not sampled: they look like those of" in done.stderr
+
+
 @pytest.mark.parametrize("virtual", [True, False, None])
 @pytest.mark.slow
 def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):

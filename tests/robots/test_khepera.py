@@ -15,7 +15,7 @@ from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.robots import Battery, Counters, Lamp, Robot, open_robot, serial_line
-from neurosim.robots.base import Proximity
+from neurosim.robots.base import LightSensors, Proximity, read_sensors, sensors_read_with
 from neurosim.robots.khepera import driver as driver_module
 from neurosim.robots.khepera.driver import Khepera, _numbers
 from neurosim.robots.serial_line import SerialLine
@@ -145,6 +145,25 @@ def test_every_command(line, robot):
     assert robot.read_sensors()["sensor_7"] == 1.0
     assert robot.read_sensors()["sensor_1"] == pytest.approx(1 / 1023)
     assert tuple(robot.read_sensors()) == robot.sensor_names
+
+
+def test_light_is_measured_only_where_it_is_wanted(line, robot):
+    script, _ = line
+    assert isinstance(robot, LightSensors)
+    assert robot.lights() == pytest.approx(1 - np.arange(500, 508) / 512)
+    light = tuple(f"light_{index}" for index in range(8))
+    assert sensors_read_with(robot) == (*robot.sensor_names, *light)
+    for wanted, names, asked in (
+        (("light_2",), light, ["O"]),
+        (("sensor_0", "sensor_3"), robot.sensor_names, ["N"]),
+        (("sensor_0", "light_7"), (*robot.sensor_names, *light), ["N", "O"]),
+        (("line_left",), (), []),
+    ):
+        script.heard.clear()
+        assert sensors_read_with(robot, wanted) == names
+        assert tuple(read_sensors(robot, wanted)) == names
+        assert script.heard == asked
+    assert read_sensors(robot, ("light_2",))["light_2"] == pytest.approx(1 - 502 / 512)
 
 
 @pytest.mark.parametrize(("left", "right"), [(101, 0), (0, -100.5), (math.nan, 0), (0, math.inf)])

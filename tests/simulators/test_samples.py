@@ -9,7 +9,7 @@ from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.simulators.tables.samples import Samples, as_evorobotpy2
-from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.simulators.tables.sensor_table import SensorTable, is_kind, kind_of, radius_of
 
 TEXT = (
     "2 4 2 5 2.5 \r\n"
@@ -138,7 +138,7 @@ def test_tables_refuse_what_does_not_fit(tmp_path):
     with pytest.raises(FileError, match=r"a\.sample: no such file"):
         SensorTable.from_files([tmp_path / "a.sample"])
     one.write(tmp_path / "a.sample")
-    with pytest.raises(UserError, match="name must contain wall or cylinder"):
+    with pytest.raises(UserError, match="name must contain wall, cylinder or light"):
         SensorTable.from_files([tmp_path / "a.sample"])
 
 
@@ -155,3 +155,36 @@ def test_samples_as_evorobotpy2_reads_them():
     # Where the distances do not fall on rows, between them: (1 + 1) / 4 = row 0.5.
     between = as_evorobotpy2(Samples(rows, 0.001, 0.004), cylinder=True)
     assert between.activations[0] == pytest.approx((rows[0] + rows[1])[[0, 3, 2, 1]] / 2)
+
+
+@pytest.mark.parametrize(
+    ("stem", "kind", "radius"),
+    [
+        ("khepera-wall", "wall", 0.0),
+        ("cylinder-2", "cylinder", 0.0275),
+        ("round", "cylinder", 0.0275),
+        ("khepera-scylinder", "cylinder-12.5mm", 0.0125),
+        ("sround", "cylinder-12.5mm", 0.0125),
+        ("cylinder-11.5mm-2", "cylinder-11.5mm", 0.0115),
+        ("cylinder-27.5mm", "cylinder", 0.0275),
+        ("khepera-light", "light", 0.0),
+    ],
+)
+def test_a_files_name_says_which_kind_was_sampled(stem, kind, radius):
+    assert kind_of(f"somewhere/{stem}.sample") == kind
+    assert radius_of(kind) == pytest.approx(radius)
+    assert is_kind(kind)
+
+
+@pytest.mark.parametrize("name", ["wal", "cylinder-", "cylinder-0mm", "cylinder-27.5mm", "round"])
+def test_other_names_are_no_kinds(name):
+    assert not is_kind(name)
+
+
+def test_kinds_are_in_order_whatever_order_they_are_given_in():
+    one = Samples(np.zeros((2, 4, 8)), 0.005, 0.002)
+    names = ("cylinder", "cylinder-12.5mm", "wall", "cylinder-30mm")
+    table = SensorTable.from_samples({name: [one] for name in names})
+    assert table.kinds == ("wall", "cylinder-12.5mm", "cylinder", "cylinder-30mm")
+    assert table.radii == pytest.approx([0.0, 0.0125, 0.0275, 0.030])
+    assert SensorTable.from_samples({"light": [one]}).kinds == ("light",)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from khepera_data import BEARINGS, made_up
+from khepera_data import BEARINGS, BRIGHT, made_up, made_up_lights
 
 from neurosim.base import files, se2
 from neurosim.base.errors import FileError, UserError
@@ -429,3 +429,126 @@ def test_tables_of_another_precision_are_read_as_their_own(tmp_path):
     )
     read = TableSimulator.read(tmp_path)
     assert read.motors.twist.dtype == read.sensors.mean.dtype == np.float64
+
+
+@pytest.fixture(scope="module")
+def seeing():
+    """A simulator of three kinds near it and a light, with noise of repeats."""
+    near = made_up(3, 0.01, bright={**BRIGHT, "cylinder-12.5mm": 0.2})
+    return TableSimulator(near, lights=made_up_lights(3, 0.01), noise="none")
+
+
+def test_an_obstacle_looks_like_the_sampled_one_of_its_size(seeing):
+    def read(radius):
+        """Readings 20 mm before an obstacle; the surface is where it is."""
+        obstacle = (0.0275 + 0.02 + radius, 0.0, radius)
+        arena = Place.rectangle(2, 2, [obstacle])
+        sim = seeing.changed(place=arena, senses=("proximity",))
+        return sim.sense(tensor([0, 0, 0]))[0].numpy(), sim.notes
+
+    mean = seeing.sensors.mean
+    assert seeing.sensors.kinds == ("wall", "cylinder-12.5mm", "cylinder")
+    assert (mean[2, 3, 0, 2] - 0.02) / (mean[1, 3, 0, 2] - 0.02) > 1.5
+    for radius, kind, size in ((0.0125, 1, ""), (0.0275, 2, ""), (0.019, 1, 12.5), (0.05, 2, 27.5)):
+        readings, notes = read(radius)
+        assert readings == pytest.approx(mean[kind, 3, 0], abs=1e-6)
+        text = f"obstacles of {1000 * radius:g} mm radius were not sampled: they look like those of"
+        assert notes == ((f"{text} {size} mm",) if size else ())
+
+
+def test_a_light_is_looked_up_by_distance_and_bearing(seeing):
+    def read(pose, *lights, **place):
+        arena = replace(Place.rectangle(4, 4), lights=lights, **place)
+        sim = seeing.changed(place=arena, senses=("light",))
+        assert sim.reading_names == tuple(f"light_{index}" for index in range(8))
+        return sim.sense(tensor(pose))[0].numpy()
+
+    mean, dark = seeing.lights.mean[0], seeing.lights.ambient
+    ahead = (0.0275 + 0.045, 0.0)  # the third distance
+    assert read((0, 0, 0), ahead) == pytest.approx(mean[2, 0], abs=1e-6)
+    # Turned to the left by 30 degrees, the light is 30 degrees to the right; from another place.
+    assert read((0, 0, math.pi / 6), ahead) == pytest.approx(mean[2, 3], abs=1e-6)
+    turned = read((1.0, -0.5, math.pi / 2), (1.0, ahead[0] - 0.5))
+    assert turned == pytest.approx(mean[2, 0], abs=1e-6)
+    # A quarter between two distances; above the light the first one counts.
+    between = read((0, 0, 0), (ahead[0] + 0.005, 0.0))
+    assert between == pytest.approx(0.75 * mean[2, 0] + 0.25 * mean[3, 0], abs=1e-6)
+    assert read((0, 0, 0), (0.001, 0.0)) == pytest.approx(mean[0, 0], abs=1e-6)
+    # Two of them add up above the dark; one out of reach, and none, leave it dark.
+    both = read((0, 0, 0), ahead, (0.0, ahead[0]))
+    expected = np.clip(mean[2, 0] + mean[2, 27] - dark, 0.0, 1.0)
+    assert both == pytest.approx(expected, abs=1e-6)
+    for lights in ((), ((1.5, 0.0),)):
+        assert read((0, 0, 0), *lights) == pytest.approx(dark, abs=1e-6)
+
+
+def test_walls_and_obstacles_shade_a_light(seeing):
+    light = (0.15, 0.0)
+
+    def lit(y=0.0, **place):
+        arena = replace(Place.rectangle(2, 2), lights=(light,), **place)
+        sim = seeing.changed(place=arena, senses=("light",))
+        reading = sim.sense(tensor([0, y, 0]))[0].numpy()
+        return bool(np.abs(reading - sim.lights.ambient).max() > 0.01)
+
+    wall, cylinder = (0.08, -0.05, 0.08, 0.03), (0.08, 0.02, 0.0125)
+    assert lit()
+    assert not lit(walls=(wall,))
+    assert lit(0.1, walls=(wall,))  # past its end
+    # The way to the light passes 20 mm from its middle, and then, further to the left, 6 mm.
+    assert lit(obstacles=(cylinder,))
+    assert not lit(0.03, obstacles=(cylinder,))
+    behind = (0.2, 0.0, 0.0125), (-0.06, 0.0, 0.0125)
+    assert lit(obstacles=behind)
+
+
+@pytest.mark.parametrize("noise", ["none", "uniform", "samples"])
+@pytest.mark.parametrize("senses", [("proximity",), ("light",), ("proximity", "light")])
+def test_kernels_sense_what_the_tensors_do(seeing, senses, noise):
+    """At random poses among walls, obstacles of two sizes and two lights, with the same noise."""
+    room = bay()
+    small = (0.55, 0.2, 0.0125)
+    arena = replace(
+        room, obstacles=(*room.obstacles, small), lights=((0.1, 0.3), (0.5, 0.05), (0.62, 0.3))
+    )
+    sim = seeing.changed(place=arena, noise=noise, senses=senses)
+    count = len(sim.reading_names)
+    assert count == 8 * len(senses)
+    assert sim.noise_width == count + 3
+    starts = arena.free_poses(300, sim.radius, np.random.default_rng(5))
+    z = np.random.default_rng(6).uniform(-1, 1, (300, 1, sim.noise_width)).astype(np.float32)
+    z = None if noise == "none" else z
+    genes = np.zeros((1, 2 * (count + 1)))
+    driven = sim.rollouts(Network(sim.reading_names), Episode(0.1, 1)).run(
+        genes, Draws(starts, noise=z)
+    )
+    given = None if z is None else torch.from_numpy(z[:, 0]).double()
+    expected = sim.sense(torch.from_numpy(starts), z=given).numpy()
+    assert driven.readings[0, :, 0] == pytest.approx(expected, abs=1e-5)
+    assert expected.std(axis=0).min() > 0.01
+
+
+def test_a_folder_keeps_kinds_and_lights(seeing, tmp_path):
+    arena = replace(bay(), lights=((0.5, 0.05),))
+    seeing.changed(place=arena).write(tmp_path)
+    read = read_simulator(tmp_path)
+    assert read.reading_names == seeing.reading_names
+    assert (read.sensors.kinds, read.lights.kinds) == (seeing.sensors.kinds, ("light",))
+    pose = torch.from_numpy(arena.free_poses(20, 0.0275, np.random.default_rng(0)))
+    assert torch.equal(read.sense(pose), seeing.changed(place=arena).sense(pose))
+    document = json.loads((tmp_path / "simulator.json").read_text())
+    for name, objects in (
+        ("sensors", ["wall", "cylinder-12.5mm", "ball"]),
+        ("sensors", ["cylinder", "wall", "cylinder-30mm"]),
+        ("lights", ["wall"]),
+    ):
+        changed = {**document, name: {**document[name], "objects": objects}}
+        (tmp_path / "simulator.json").write_text(json.dumps(changed))
+        with pytest.raises(FileError, match=r"objects|expected a wall and cylinders"):
+            read_simulator(tmp_path)
+
+
+def test_light_needs_a_table_of_it(simulator):
+    with pytest.raises(UserError, match=r"no readings of light: sample a light, too .*--light"):
+        simulator.changed(senses=("light",))
+    assert simulator.reading_names == tuple(f"sensor_{index}" for index in range(8))

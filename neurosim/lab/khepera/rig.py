@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from neurosim.lab.khepera.params import RADIUS, KheperaParams
 from neurosim.lab.nxt.params import CameraParams
 from neurosim.lab.server import Served
 from neurosim.robots.khepera.driver import Khepera
+from neurosim.simulators.tables.sensor_table import LIGHT, OBJECTS, WALL, radius_of
 
 #: Where the robot stands at first in the paper's arena (m, m, rad).
 START = (-0.22, 0.0, 0.0)
@@ -22,21 +24,29 @@ START = (-0.22, 0.0, 0.0)
 BITS = 11
 
 
-def sampling_places() -> tuple[Place, dict[str, tuple[float, float, float]]]:
+def sampling_places(
+    kinds: Sequence[str] = OBJECTS,
+) -> tuple[Place, dict[str, tuple[float, float, float]]]:
     """Return a lab to sample in, and where the robot is placed there (m, m, rad).
 
-    It faces a long ``wall`` and a ``cylinder`` of the paper's size and all but touches them;
-    ``open`` is open floor.
+    It faces an object of each kind, a long wall, round obstacles or a light, and all but touches
+    it; ``open`` is open floor.
+
+    Args:
+        kinds: names of the kinds, see :mod:`neurosim.simulators.tables.sensor_table`.
     """
-    touching = -RADIUS - 0.0002
-    middle = THICKNESS / 2
-    place = Place(walls=((middle, -1.0, middle, 1.0),), obstacles=((0.0275, 3.0, 0.0275),))
-    poses = {
-        "wall": (touching, 0.0, 0.0),
-        "cylinder": (touching, 3.0, 0.0),
-        "open": (-2.0, 1.5, 0.0),
-    }
-    return place, poses
+    touching, middle = -RADIUS - 0.0002, THICKNESS / 2
+    poses = {WALL: (touching, 0.0, 0.0), "open": (-2.0, 1.5, 0.0)}
+    obstacles, lights = [], []
+    for kind in kinds:
+        if kind == LIGHT:
+            poses[kind] = (touching, -3.0, 0.0)
+            lights.append((0.0, -3.0))
+        elif kind != WALL:
+            poses[kind] = (touching, 3.0 + 2.0 * len(obstacles), 0.0)
+            obstacles.append((radius_of(kind), poses[kind][1], radius_of(kind)))
+    walls = ((middle, -1.0, middle, 1.0),)
+    return Place(walls=walls, obstacles=tuple(obstacles), lights=tuple(lights)), poses
 
 
 class VirtualKheperaRig(Served):

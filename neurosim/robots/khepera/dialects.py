@@ -37,6 +37,7 @@ class Dialect:
         values: how many numbers an answer about the sensors has.
         angles: where the sensors look, degrees counter-clockwise from straight ahead.
         full_scale: of a proximity reading.
+        dark: reading of a sensor of ambient light in the dark; it falls with light.
         scan: in which all sensors are read in turn, s: a reading is half as old in the mean;
             0 where that is not known.
         pulses_per_metre: of the position counters.
@@ -65,6 +66,7 @@ class Dialect:
     values: int
     angles: tuple[float, ...]
     full_scale: int
+    dark: int
     scan: float
     pulses_per_metre: float
     speed_unit: float
@@ -95,6 +97,7 @@ KHEPERA = Dialect(
     values=8,
     angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0),
     full_scale=1023,
+    dark=512,
     scan=0.020,
     pulses_per_metre=10_000.0,
     speed_unit=0.010,
@@ -121,6 +124,7 @@ KHEPERA3 = Dialect(
     values=12,
     angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -135.0, 135.0),
     full_scale=4095,
+    dark=4095,
     scan=0.0,
     pulses_per_metre=1000 / 0.047,
     speed_unit=0.001 / 144.01,
@@ -146,6 +150,7 @@ KHEPERA4 = Dialect(
     values=12,
     angles=(135.0, 90.0, 45.0, 0.0, -45.0, -90.0, -135.0, 180.0),
     full_scale=1023,
+    dark=1023,
     scan=0.0,
     pulses_per_metre=1 / 0.000_006_781,
     speed_unit=0.000_678_1,
@@ -174,6 +179,7 @@ EPUCK = Dialect(
     values=8,
     angles=(-17.0, -49.0, -90.0, -150.0, 150.0, 90.0, 49.0, 17.0),
     full_scale=4095,
+    dark=4095,
     scan=0.0,
     pulses_per_metre=1000 / (math.pi * 0.041),
     speed_unit=math.pi * 0.041 / 1000,

@@ -26,9 +26,9 @@ VIRTUAL = "virtual"
 class Khepera:
     """A small round robot with a ring of infra-red sensors and two wheels.
 
-    Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``Counters``, ``WholeSpeeds`` and,
-    where the dialect has them, ``Lamp`` and ``Battery``. Bytes that make no answer are passed over,
-    commands without a good answer are sent again. A robot that reboots is noticed by what it
+    Follows :class:`neurosim.robots.base.Robot`, ``LightSensors``, ``Counters``, ``WholeSpeeds``
+    and, where the dialect has them, ``Lamp`` and ``Battery``. Bytes that make no answer are passed
+    over, commands without a good answer are sent again. A robot that reboots is noticed by what it
     says then: it is set to the speeds that it had, its counters to what was last read, and
     :attr:`reboots` counts it. A robot that no longer answers gets a stop, several times, before the
     line is closed. It has nothing that would stop it by itself.
@@ -175,6 +175,10 @@ class Khepera:
     def activations(self) -> np.ndarray:
         """Read reflected light, [8] in 0..1 of the sensors' range."""
         return self._scaled(self._ask("N", self.dialect.values))
+
+    def lights(self) -> np.ndarray:
+        """Read ambient light, [8] in 0 (dark) to 1."""
+        return np.clip(1.0 - self.read_ambient() / self.dialect.dark, 0.0, 1.0)
 
     def read_counts(self) -> tuple[int, int]:
         """Read the position counters, left and right, in pulses."""

@@ -38,23 +38,31 @@ NEAREST = 1e-4
 FAINT = 1e-6
 
 
-class TableArrays(NamedTuple):
-    """A table simulator's numbers, laid out for these kernels.
+class Lookup(NamedTuple):
+    """A sensor table's numbers.
 
-    Objects are 0, walls, and 1, round obstacles. The column of the first angle is repeated
-    after the last. L is the number of sensors, but at least :data:`LANES`.
+    The column of the first angle is repeated after the last. K is the number of kinds of objects,
+    L that of sensors, but at least :data:`LANES`.
     """
 
-    excess: np.ndarray  #: [2, D, A + 1, L] float32, reading above ambient
-    variance: np.ndarray  #: [2, D, A + 1, L] float32, of a reading, above ambient
+    excess: np.ndarray  #: [K, D, A + 1, L] float32, reading above the one far from everything
+    variance: np.ndarray  #: [K, D, A + 1, L] float32, of a reading, likewise
     ambient: np.ndarray  #: [L] float32, reading far from everything
     ambient_variance: np.ndarray  #: [L] float32
     first: float  #: smallest sampled distance, rim to surface, m
     pitch: float  #: between sampled distances, m
     fade: float  #: beyond the last distance readings fade over this length, m
-    reach: np.ndarray  #: [2] so far from the rim objects of a kind reflect anything, m
-    twist: np.ndarray  #: [L, R, 3] body twists, m/s, m/s, rad/s
-    twist_spread: np.ndarray  #: [L, R, 3] per square root of a second
+    reach: np.ndarray  #: [K] so far from the rim objects of a kind change a reading, m
+    sensors: int  #: how many are read, 0 or all
+
+
+class TableArrays(NamedTuple):
+    """A table simulator's numbers, laid out for these kernels."""
+
+    near: Lookup  #: of walls, its first kind, and of obstacles
+    light: Lookup  #: of lights, its only kind; without lights none of its sensors is read
+    twist: np.ndarray  #: [V, R, 3] body twists, m/s, m/s, rad/s
+    twist_spread: np.ndarray  #: [V, R, 3] per square root of a second
     lowest: float  #: the first level of both motors, %
     level_pitch: float  #: between levels, %
     resolution: float  #: commands are rounded to multiples of it, %; 0: not at all
@@ -63,10 +71,11 @@ class TableArrays(NamedTuple):
     radius: float  #: of the robot, m
     fastest: float  #: its highest speed, m/s
     longest: float  #: a command is carried out in motions no longer than this, s
-    looks: np.ndarray  #: [2, L] unit vectors along which the sensors look, ahead and to the left
+    looks: np.ndarray  #: [2, L] unit vectors along which sensors of ``near`` look, ahead and left
     walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length; free on their left
     screens: np.ndarray  #: [H, 5] the same of what may stand before something
-    obstacles: np.ndarray  #: [N, 3] x, y, radius
+    obstacles: np.ndarray  #: [N, 4] x, y, radius, kind in ``near``
+    lights: np.ndarray  #: [M, 2] x, y
     noise: int  #: place in :data:`neurosim.simulators.tables.simulator.NOISES`
     sensor_noise: float  #: half width of uniform noise
     twist_noise: np.ndarray  #: [3] half widths of uniform noise, per square root of a second
@@ -155,9 +164,12 @@ def _mix(near, far, c, a, b, p, q, out):
         out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
 
 
-@kernel(fastmath=_FAST, forceinline=True)
-def _add(t, kind, distance, bearing, out, variance):
-    """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
+@kernel(fastmath=_FAST)
+def _add(t, noisy, kind, distance, bearing, out, variance):
+    """Add the reading of an object at a distance (m, rim to surface) and bearing (rad).
+
+    ``t`` is a :class:`Lookup`; the variance is added only if ``noisy``.
+    """
     distances, weight = t.excess.shape[1], 1.0
     row = max((distance - t.first) / t.pitch, 0.0)
     if row > distances - 1:
@@ -172,7 +184,7 @@ def _add(t, kind, distance, bearing, out, variance):
     q = np.float32(weight * u * v)
     near, far = t.excess[kind, r], t.excess[kind, r + 1]
     _mix(near, far, c, a, b, p, q, out)
-    if t.noise == SAMPLES_NOISE:
+    if noisy:
         _mix(t.variance[kind, r], t.variance[kind, r + 1], c, a, b, p, q, variance)
 
 
@@ -209,7 +221,8 @@ def _add_walls(t, x, y, theta, reach, sums, out, variance):
     Their light adds up. Every sensor reads what it would before an endless wall alone, straight
     before that point from which most light comes, as far away as gives so much light.
     """
-    distances = t.excess.shape[1]
+    near = t.near
+    distances = near.excess.shape[1]
     sums[:] = 0.0
     total, most, brightest = sums[0], sums[1], sums[2]
     cos, sin = math.cos(theta), math.sin(theta)
@@ -228,37 +241,35 @@ def _add_walls(t, x, y, theta, reach, sums, out, variance):
             dx, dy = _nearest(t.walls[last], x, y)
             away = math.sqrt(dx * dx + dy * dy)
             ahead_x, ahead_y = (cos * dx + sin * dy) / away, (cos * dy - sin * dx) / away
-            c, v = _column(t.excess.shape[2] - 1, math.atan2(dy, dx) - theta)
+            c, v = _column(near.excess.shape[2] - 1, math.atan2(dy, dx) - theta)
         ahead = t.looks[0, s] * ahead_x + t.looks[1, s] * ahead_y
         height = max(away - t.radius * ahead, NEAREST)
         endless = _endless(height, ahead)
         if total[s] <= FAINT * endless:
             continue
         distance = away - t.radius + height * (math.sqrt(endless / total[s]) - 1.0)
-        row = max((distance - t.first) / t.pitch, 0.0)
-        weight = 1.0 - max(row - (distances - 1), 0.0) * t.pitch / t.fade
+        row = max((distance - near.first) / near.pitch, 0.0)
+        weight = 1.0 - max(row - (distances - 1), 0.0) * near.pitch / near.fade
         if weight <= 0.0:
             continue
         row = min(row, distances - 1.0)
         r = min(int(row), distances - 2)
         u = row - r
         a, b, p, q = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
-        table = t.excess[0]
+        table = near.excess[0]
         reading = a * table[r, c, s] + b * table[r, c + 1, s]
         out[s] += weight * (reading + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
         if t.noise == SAMPLES_NOISE:
-            table = t.variance[0]
+            table = near.variance[0]
             reading = a * table[r, c, s] + b * table[r, c + 1, s]
             variance[s] += weight * (reading + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
 
 
 @kernel(forceinline=True)
-def _sense(t, x, y, theta, sums, out, variance):
-    """Write the mean readings [L], not yet clipped, and their variance."""
-    reach = t.reach[0] + t.radius
-    for s in range(len(out)):
-        out[s] = t.ambient[s]
-        variance[s] = t.ambient_variance[s]
+def _sense_near(t, x, y, theta, sums, out, variance):
+    """Add walls and obstacles to mean readings [L], not yet clipped, and to their variance."""
+    near, noisy = t.near, t.noise == SAMPLES_NOISE
+    reach = near.reach[0] + t.radius
     count, alone = 0, True
     to_x, to_y = 0.0, 0.0
     for w in range(len(t.walls)):
@@ -273,29 +284,60 @@ def _sense(t, x, y, theta, sums, out, variance):
                 break
     if count and alone:
         distance = math.sqrt(to_x * to_x + to_y * to_y) - t.radius
-        _add(t, 0, distance, math.atan2(to_y, to_x) - theta, out, variance)
+        _add(near, noisy, 0, distance, math.atan2(to_y, to_x) - theta, out, variance)
     elif count:
         _add_walls(t, x, y, theta, reach, sums, out, variance)
     for o in range(len(t.obstacles)):
-        dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
-        square, limit = dx * dx + dy * dy, t.reach[1] + t.radius + t.obstacles[o, 2]
+        dx, dy, kind = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y, int(t.obstacles[o, 3])
+        square, limit = dx * dx + dy * dy, near.reach[kind] + t.radius + t.obstacles[o, 2]
         if square >= limit * limit or _hidden(t.screens, x, y, dx, dy):
             continue
         distance = math.sqrt(square) - t.radius - t.obstacles[o, 2]
-        _add(t, 1, distance, math.atan2(dy, dx) - theta, out, variance)
+        _add(near, noisy, kind, distance, math.atan2(dy, dx) - theta, out, variance)
+
+
+@kernel()
+def _sense_light(t, x, y, theta, out, variance):
+    """Add lights that are not hidden to mean readings [L], likewise."""
+    light, noisy = t.light, t.noise == SAMPLES_NOISE
+    for m in range(len(t.lights)):
+        dx, dy = t.lights[m, 0] - x, t.lights[m, 1] - y
+        square, limit = dx * dx + dy * dy, light.reach[0] + t.radius
+        if square >= limit * limit or _hidden(t.screens, x, y, dx, dy):
+            continue
+        lit = True
+        for o in range(len(t.obstacles)):
+            # The point between robot and light that is nearest to the obstacle's middle.
+            off_x, off_y = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
+            part = (off_x * dx + off_y * dy) / max(square, NEAREST * NEAREST)
+            part = min(max(part, 0.0), 1.0)
+            off_x, off_y = off_x - part * dx, off_y - part * dy
+            lit = lit and off_x * off_x + off_y * off_y >= t.obstacles[o, 2] * t.obstacles[o, 2]
+        if lit:
+            distance = math.sqrt(square) - t.radius
+            _add(light, noisy, 0, distance, math.atan2(dy, dx) - theta, out, variance)
 
 
 @kernel(forceinline=True)
 def sense(t, state, z, work, out):
     """Write the readings [S] of a robot in ``state`` [7] with the noise ``z`` [S + 3], or none."""
+    near, light = t.near.sensors, t.light.sensors
     mean, variance = work[0], work[1]
-    _sense(t, state[0], state[1], state[2], work[5], mean, variance)
+    lanes = len(t.near.ambient)
+    for s in range(len(mean)):
+        table, k = (t.near, s) if s < lanes else (t.light, s - lanes)
+        mean[s], variance[s] = table.ambient[k], table.ambient_variance[k]
+    if near > 0:
+        _sense_near(t, state[0], state[1], state[2], work[5], mean[:lanes], variance[:lanes])
+    if light > 0:
+        _sense_light(t, state[0], state[1], state[2], mean[lanes:], variance[lanes:])
     for s in range(len(out)):
+        k = s if s < near else s - near + lanes
         if len(z) > 0 and t.noise == UNIFORM_NOISE:
-            mean[s] += np.float32(t.sensor_noise) * z[s]
+            mean[k] += np.float32(t.sensor_noise) * z[s]
         elif len(z) > 0 and t.noise == SAMPLES_NOISE:
-            mean[s] += math.sqrt(variance[s]) * z[s]
-        out[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
+            mean[k] += math.sqrt(variance[k]) * z[s]
+        out[s] = min(max(mean[k], np.float32(0.0)), np.float32(1.0))
 
 
 @kernel(fastmath=_FAST, forceinline=True)
@@ -418,8 +460,8 @@ def _moved(t, x, y, theta, first, second, noise):
 
 def scratch(t):
     """Return the arrays that :func:`step` and :func:`sense` write to."""
-    lanes = len(t.ambient)
     timing, lasts = np.empty((_PARTS, 2, 5)), np.full(1, -1.0)
+    lanes = len(t.near.ambient) + len(t.light.ambient)
     mean, variance = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
     return mean, variance, np.empty((3, 3)), timing, lasts, np.empty((3, t.looks.shape[1]))
 

@@ -1,7 +1,9 @@
 """The table simulator: a robot that samples its own sensors and motors, and moves in an arena.
 
 Lund and Miglino 1996: the sensors' readings in front of a wall and of an obstacle, and how the
-motors move the robot, is looked up in tables that the robot filled itself.
+motors move the robot, is looked up in tables that the robot filled itself. Obstacles may have been
+sampled in several sizes: one of another size looks like that of the nearest. Sensors of ambient
+light have a table of their readings in front of a light.
 
 Readings. Obstacles, and all walls together, add what the table says above ambient, at the
 distance from the robot's rim to the nearest point of a surface and the bearing of that point,
@@ -9,7 +11,8 @@ interpolated between samples in both; the sum is clipped to 0..1, as a sensor sa
 are of a wall that does not end: a sensor reads what it would before such a wall alone, so far
 away that it throws back as much light as the walls do (Lambert's law). Nearer than the first
 sampled distance the first counts; beyond the last a reading fades to ambient over half of the
-sampled reach. Objects behind a wall are not seen.
+sampled reach. Objects behind a wall are not seen. Lights add up in the same way; obstacles hide
+them, too. The whole robot is in the shade if its middle is.
 
 Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
 straight out of it, so that it slides along; where it does not fit, as in a gap that is too
@@ -40,16 +43,21 @@ from neurosim.simulators.tables.kernels import (
     NEAREST,
     PASSES,
     SLACK,
+    Lookup,
     TableArrays,
     substeps,
 )
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.reaction import Reaction
-from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
+from neurosim.simulators.tables.sensor_table import LIGHT, SensorTable, is_kind
 
 #: The oldest version that is read: earlier tables had an arena.
 _OLDEST = 8
+#: Senses, and the names of their readings.
+SENSES = {"proximity": "sensor", "light": "light"}
+#: An obstacle is of another size than the sampled ones if its radius differs by more than this, m.
+SAME_SIZE = 0.0005
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
 #: Radius of a Khepera, m.
@@ -65,7 +73,7 @@ class TableSimulator(Simulator):
     """A simulator of a robot in an arena, from tables.
 
     Attributes:
-        sensors: the sensors' readings.
+        sensors: readings of walls and obstacles.
         motors: how the motors move the robot.
         place: where it moves.
         radius: of the robot, m.
@@ -75,6 +83,8 @@ class TableSimulator(Simulator):
             largest displacement in 100 ms forward, sideways and in heading. Over other durations
             a displacement's noise grows with the square root.
         meta: what else simulator.json says.
+        lights: readings of a light by sensors of ambient light; None: it has no such sensors.
+        senses: those of :data:`SENSES` that are read, where there is a table of them.
     """
 
     kind = "tables"
@@ -90,10 +100,17 @@ class TableSimulator(Simulator):
     reaction: Reaction = field(default_factory=Reaction)
     meta: Mapping[str, Any] = field(default_factory=dict)
     device: str | torch.device = "cpu"
+    lights: SensorTable | None = None
+    senses: tuple[str, ...] = tuple(SENSES)
 
     def __post_init__(self) -> None:
         if self.noise not in NOISES:
             raise UserError(f"noise is one of {', '.join(NOISES)}, not {self.noise!r}")
+        if not self._tables:
+            raise UserError(
+                f"these tables have no readings of {' or '.join(self.senses)}: sample a light, too "
+                "(neurosim sample --light), and build them again"
+            )
         if self.place.start is not None:
             self.place.check_start(self.place.start, self.radius)
         repeats = self.sensors.spread is not None or self.motors.spread is not None
@@ -113,9 +130,23 @@ class TableSimulator(Simulator):
         return self.noise != "none"
 
     @property
+    def _tables(self) -> dict[str, SensorTable]:
+        """The tables of the senses that are read."""
+        every = {"proximity": self.sensors, "light": self.lights}
+        return {
+            sense: table
+            for sense, table in every.items()
+            if table is not None and sense in self.senses
+        }
+
+    @property
     def reading_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the sensors."""
-        return tuple(f"sensor_{index}" for index in range(self.sensors.mean.shape[-1]))
+        """Names of the sensors: of proximity, then of ambient light."""
+        return tuple(
+            f"{SENSES[sense]}_{index}"
+            for sense, table in self._tables.items()
+            for index in range(table.mean.shape[-1])
+        )
 
     @property
     def noise_width(self) -> int:  # type: ignore[override]
@@ -130,8 +161,23 @@ class TableSimulator(Simulator):
 
     @property
     def bearings(self) -> np.ndarray:
-        """Where the sensors see a wall, [S] rad to the left."""
-        return self.sensors.bearings()
+        """Where the sensors see a wall, or a light, [S] rad to the left."""
+        return np.concatenate([table.bearings() for table in self._tables.values()])
+
+    @property
+    def notes(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Which obstacles of the place are not of a sampled size."""
+        radii = self.sensors.radii[1:]
+        sizes = sorted({radius for _, _, radius in self.place.obstacles})
+        notes = []
+        for radius in sizes:
+            nearest = radii[np.abs(radii - radius).argmin()]
+            if abs(nearest - radius) > SAME_SIZE:
+                notes.append(
+                    f"obstacles of {1000 * radius:g} mm radius were not sampled: they look like "
+                    f"those of {1000 * nearest:g} mm"
+                )
+        return tuple(notes)
 
     def outline(self) -> list[dict[str, Any]]:
         """Return the place's walls and obstacles."""
@@ -215,26 +261,37 @@ class TableSimulator(Simulator):
         Noise is drawn only where a generator is given, or made of the first S of the numbers
         ``z`` [B, noise_width].
         """
-        t = self._tensors
-        distance, bearing, kind = self._seen(state)
-        sensor = torch.arange(len(self.reading_names), device=distance.device)
-        weights, rows, columns = self._place(distance, bearing)
-        looked_up = {
-            name: sum(  # type: ignore[union-attr]
-                weights[i, j] * t[name][kind.unsqueeze(-1), rows[i], columns[j], sensor]
-                for i in range(2)
-                for j in range(2)
-            ).sum(1)
-            for name in ("excess", "variance")
-        }
-        reading = t["ambient"] + looked_up["excess"]
+        means, variances = [], []
+        for sense in self._tables:
+            seen = self._seen if sense == "proximity" else self._seen_lights
+            mean, variance = self._looked_up(sense, *seen(state))
+            means.append(mean)
+            variances.append(variance)
+        reading = torch.cat(means, dim=1)
         if self.noise != "none" and (generator is not None or z is not None):
             z = z[:, :-3].to(reading) if z is not None else self._numbers(reading, generator)
             if self.noise == "uniform":
                 reading = reading + self.noise_level * z
             else:
-                reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
+                reading = reading + torch.cat(variances, dim=1).sqrt() * z
         return reading.clamp(0.0, 1.0)
+
+    def _looked_up(
+        self, sense: str, distance: Tensor, bearing: Tensor, kind: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return means and variances of readings [B, S] of objects [B, K or 1, S or 1]."""
+        table = self._lookups[sense]
+        sensor = torch.arange(table["ambient"].shape[-1], device=distance.device)
+        weights, rows, columns = self._place(sense, distance, bearing)
+        excess, variance = (
+            sum(  # type: ignore[union-attr]
+                weights[i, j] * table[name][kind.unsqueeze(-1), rows[i], columns[j], sensor]
+                for i in range(2)
+                for j in range(2)
+            ).sum(1)
+            for name in ("excess", "variance")
+        )
+        return table["ambient"] + excess, table["ambient_variance"] + variance
 
     def standing(self, poses: np.ndarray, member: np.ndarray | None = None) -> np.ndarray:
         return np.concatenate([poses, np.zeros((len(poses), 4))], axis=1)
@@ -250,23 +307,16 @@ class TableSimulator(Simulator):
     @cached_property
     def arrays(self) -> TableArrays:
         """The numbers for :mod:`neurosim.simulators.tables.kernels`."""
-        sensors, motors = self.sensors, self.motors
-        _, distances, _, _ = sensors.mean.shape
-        ambient, variance = sensors.ambient, sensors.ambient_spread**2
-        spread = np.zeros_like(sensors.mean) if sensors.spread is None else sensors.spread
+        motors = self.motors
         twist_spread = np.zeros_like(motors.twist) if motors.spread is None else motors.spread
         largest = np.abs(motors.twist).max(axis=(0, 1)) * STEP
-        last = sensors.first_distance + (distances - 1) * sensors.distance_step
-        fade = last / 2.0
+        cylinders, radii = self.place.cylinders, self.sensors.radii[1:]
+        kinds = 1 + np.abs(cylinders[:, 2:] - radii).argmin(axis=1)
+        bearings = self.sensors.bearings()
+        near, light = self.sensors, self.lights
         return TableArrays(
-            excess=_closed(sensors.mean - ambient),
-            variance=_closed(np.maximum(spread**2 - variance, 0.0)),
-            ambient=_filled(ambient),
-            ambient_variance=_filled(variance),
-            first=float(sensors.first_distance),
-            pitch=float(sensors.distance_step),
-            fade=fade,
-            reach=np.array([self._reach(kind, last + fade) for kind in range(len(OBJECTS))]),
+            near=_lookup(near, "proximity" in self.senses),
+            light=_lookup(light or near, light is not None and "light" in self.senses),
             twist=np.ascontiguousarray(motors.twist),
             twist_spread=np.ascontiguousarray(twist_spread),
             lowest=float(motors.levels[0]),
@@ -277,27 +327,34 @@ class TableSimulator(Simulator):
             radius=float(self.radius),
             fastest=self._fastest,
             longest=math.inf if self.reaction == Reaction() else STEP,
-            looks=_filled(np.nan_to_num([np.cos(self.bearings), np.sin(self.bearings)])),
+            looks=_filled(np.nan_to_num([np.cos(bearings), np.sin(bearings)])),
             walls=_directed(self.place.surfaces),
             screens=_directed(self.place.screens),
-            obstacles=self.place.cylinders,
+            obstacles=np.column_stack([cylinders, kinds]),
+            lights=np.array(self.place.lights, float).reshape(-1, 2),
             noise=NOISES.index(self.noise),
             sensor_noise=float(self.noise_level),
             twist_noise=self.noise_level * largest / math.sqrt(STEP),
         )
 
-    def _reach(self, kind: int, most: float) -> float:
-        """Return how far from the rim objects of a kind are seen, m; no further than ``most``."""
-        table = self.sensors
-        seen = (np.abs(table.mean[kind] - table.ambient) >= FAINTEST).any(axis=(1, 2))
-        rows = len(seen) - int(np.argmax(seen[::-1])) if seen.any() else 0
-        return most if rows == len(seen) else table.first_distance + rows * table.distance_step
-
     @cached_property
     def _tensors(self) -> dict[str, Tensor]:
         arrays = self.arrays._asdict()
-        for name in ("excess", "variance", "ambient", "ambient_variance", "looks"):
-            arrays[name] = arrays[name][..., : len(self.reading_names)]
+        arrays["looks"] = arrays["looks"][..., : self.sensors.mean.shape[-1]]
+        return self._as_tensors(arrays)
+
+    @cached_property
+    def _lookups(self) -> dict[str, dict[str, Tensor]]:
+        """The numbers of the senses that are read, for their sensors only."""
+        lookups = {}
+        for sense, table in self._tables.items():
+            arrays = (self.arrays.near if sense == "proximity" else self.arrays.light)._asdict()
+            for name in ("excess", "variance", "ambient", "ambient_variance"):
+                arrays[name] = arrays[name][..., : table.mean.shape[-1]]
+            lookups[sense] = self._as_tensors(arrays)
+        return lookups
+
+    def _as_tensors(self, arrays: Mapping[str, Any]) -> dict[str, Tensor]:
         return {
             name: torch.from_numpy(value).to(self.device, torch.float64)
             for name, value in arrays.items()
@@ -323,12 +380,14 @@ class TableSimulator(Simulator):
         to_walls = walls[:, :2] + fraction.unsqueeze(-1) * walls[:, 2:4] - centre
         to = torch.cat([to_walls, obstacles[:, :2] - centre], dim=1)
         size = torch.cat([torch.zeros_like(walls[:, 0]), obstacles[:, 2]])
-        kind = torch.tensor([0] * len(walls) + [1] * len(obstacles), device=to.device)
+        kind = torch.cat([torch.zeros_like(walls[:, 0]), obstacles[:, 3]]).long()
         return to, to.norm(dim=-1) - self.radius - size, kind
 
-    def _place(self, distance: Tensor, bearing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return bilinear weights [2, 2, ...], rows [2, ...] and columns [2, ...]."""
-        a = self.arrays
+    def _place(
+        self, sense: str, distance: Tensor, bearing: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return bilinear weights [2, 2, ...], rows [2, ...] and columns [2, ...] in a table."""
+        a = self.arrays.near if sense == "proximity" else self.arrays.light
         distances, angles = a.excess.shape[1], a.excess.shape[2] - 1
         row = (distance - a.first) / a.pitch
         fade = (1.0 - (row - (distances - 1)) * a.pitch / a.fade).clamp(0.0, 1.0)
@@ -349,12 +408,12 @@ class TableSimulator(Simulator):
         All walls are the first, obstacles the others; what it does not see is infinitely far. See
         the kernels ``_sense`` and ``_add_walls``.
         """
-        t, a = self._tensors, self.arrays
+        t, reaches = self._tensors, self._lookups["proximity"]["reach"]
         sensors, walls = t["looks"].T, t["walls"].unsqueeze(1)
         to, distance, kind = self._objects(state)
         bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:3]
         distance = torch.where(self._hidden(state, to), torch.inf, distance)
-        distance = torch.where(distance < t["reach"][kind], distance, torch.inf)
+        distance = torch.where(distance < reaches[kind], distance, torch.inf)
         others = (
             each[:, len(walls) :, None].expand(-1, -1, len(sensors)) for each in (distance, bearing)
         )
@@ -363,7 +422,7 @@ class TableSimulator(Simulator):
         middle = state[:, None, :2] - t["walls"][:, :2]
         along = (middle * t["walls"][:, 2:4]).sum(-1)
         before = middle[..., 1] * t["walls"][:, 2] - middle[..., 0] * t["walls"][:, 3]
-        reach = float(a.reach[0])
+        reach = float(reaches[0])
         visible = torch.isfinite(distance) & (before > 0.0)
         ends = (along <= reach + self.radius) | (along >= t["walls"][:, 4] - reach - self.radius)
         alone = (visible.sum(1) == 1) & ~(visible & ends).any(1)
@@ -399,6 +458,25 @@ class TableSimulator(Simulator):
         first, second = others
         kind = torch.cat([kind[:1], kind[len(walls) :]])
         return torch.cat([near, first], 1), torch.cat([at, second], 1), kind
+
+    def _seen_lights(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return how far and at which bearing lights are, [B, M, 1], and their kind [M].
+
+        A hidden light is infinitely far. See the kernel ``_sense_light``.
+        """
+        lights, obstacles = self._tensors["lights"], self._tensors["obstacles"]
+        to = lights - state[:, None, :2]
+        off = (obstacles[:, :2] - state[:, None, :2]).unsqueeze(1)
+        square = to.square().sum(-1, keepdim=True).clamp(min=NEAREST**2)
+        part = ((off * to.unsqueeze(2)).sum(-1) / square).clamp(0.0, 1.0)
+        gap = (off - part.unsqueeze(-1) * to.unsqueeze(2)).norm(dim=-1)
+        hidden = self._hidden(state, to) | (gap < obstacles[:, 2]).any(-1)
+        distance = to.norm(dim=-1) - self.radius
+        hidden |= distance >= self._lookups["light"]["reach"]
+        bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:3]
+        distance = torch.where(hidden, torch.inf, distance)
+        kind = torch.zeros(len(lights), dtype=torch.long, device=to.device)
+        return distance.unsqueeze(-1), bearing.unsqueeze(-1), kind
 
     def _hidden(self, state: Tensor, to: Tensor) -> Tensor:
         """Return whether something stands before the nearest point of each object, [B, K]."""
@@ -452,20 +530,23 @@ class TableSimulator(Simulator):
         """Write simulator.json and tables.safetensors into an existing folder."""
         folder = Path(folder)
         tensors = {
-            "sensor_mean": self.sensors.mean,
-            "sensor_spread": self.sensors.spread,
             "motor_levels": self.motors.levels,
             "motor_twist": self.motors.twist,
             "motor_spread": self.motors.spread,
         }
+        described = {}
+        for name, table in (("sensor", self.sensors), ("light", self.lights)):
+            if table is not None:
+                tensors |= {f"{name}_mean": table.mean, f"{name}_spread": table.spread}
+                described[f"{name}s"] = {
+                    "objects": list(table.kinds),
+                    "first_distance": table.first_distance,
+                    "distance_step": table.distance_step,
+                    "repeated": table.spread is not None,
+                }
         content = {
             "kind": self.kind,
-            "sensors": {
-                "objects": list(OBJECTS),
-                "first_distance": self.sensors.first_distance,
-                "distance_step": self.sensors.distance_step,
-                "repeated": self.sensors.spread is not None,
-            },
+            **described,
             "motors": {
                 "resolution": self.motors.resolution,
                 "repeated": self.motors.spread is not None,
@@ -490,32 +571,46 @@ class TableSimulator(Simulator):
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
         content = files.read_json(path, FORMAT, VERSION, formats.Tables, oldest=_OLDEST)
-        about, motors, noise = content["sensors"], content["motors"], content["noise"]
-        if about["objects"] != list(OBJECTS):
-            raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
-        shapes = {
-            "sensor_mean": (len(OBJECTS), None, None, None),
+        motors, noise = content["motors"], content["noise"]
+        shapes: dict[str, tuple[int | None, ...]] = {
             "motor_levels": (None,),
             "motor_twist": (None, None, 3),
         }
-        if about.get("repeated"):
-            shapes["sensor_spread"] = shapes["sensor_mean"]
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
+        for name in ("sensor", "light"):
+            about = content.get(f"{name}s")
+            if about is not None:
+                shapes[f"{name}_mean"] = (len(about["objects"]), None, None, None)
+                if about.get("repeated"):
+                    shapes[f"{name}_spread"] = shapes[f"{name}_mean"]
         # Compiled loops would be compiled again for numbers of another kind.
         arrays = {
             name: np.asarray(tensor, np.float64)
             for name, tensor in files.read_tensors(tables, shapes).items()
         }
+
+        def table(name: str) -> SensorTable | None:
+            about = content.get(f"{name}s")
+            if about is None:
+                return None
+            kinds = tuple(about["objects"])
+            if (kinds == (LIGHT,)) != (name == "light") or not all(map(is_kind, kinds)):
+                raise FileError(path, "are not kinds of objects", field=f"{name}s.objects")
+            return SensorTable(
+                arrays[f"{name}_mean"],
+                arrays.get(f"{name}_spread"),
+                about["first_distance"],
+                about["distance_step"],
+                kinds,
+            )
+
         described = {"format", "version", *formats.Tables.__annotations__}
         try:
+            sensors = table("sensor")
+            assert sensors is not None
             return cls(
-                SensorTable(
-                    arrays["sensor_mean"],
-                    arrays.get("sensor_spread"),
-                    about["first_distance"],
-                    about["distance_step"],
-                ),
+                sensors,
                 MotorTable(
                     arrays["motor_levels"],
                     arrays["motor_twist"],
@@ -529,11 +624,39 @@ class TableSimulator(Simulator):
                 Reaction.from_json(content.get("reaction", {})),
                 {key: value for key, value in content.items() if key not in described},
                 device,
+                table("light"),
             )
         except FileError:
             raise
         except (UserError, ValueError) as error:
             raise FileError(path, f"is not a table simulator ({error})") from None
+
+
+def _lookup(table: SensorTable, read: bool) -> Lookup:
+    """Return a table's numbers; of one that is not read, too."""
+    ambient, variance = table.ambient, table.ambient_spread**2
+    spread = np.zeros_like(table.mean) if table.spread is None else table.spread
+    _, distances, _, sensors = table.mean.shape
+    last = table.first_distance + (distances - 1) * table.distance_step
+    fade = last / 2.0
+    reach = []
+    for kind in table.mean:
+        # So far from the rim objects are seen.
+        seen = (np.abs(kind - ambient) >= FAINTEST).any(axis=(1, 2))
+        rows = len(seen) - int(np.argmax(seen[::-1])) if seen.any() else 0
+        whole = rows == len(seen)
+        reach.append(last + fade if whole else table.first_distance + rows * table.distance_step)
+    return Lookup(
+        excess=_closed(table.mean - ambient),
+        variance=_closed(np.maximum(spread**2 - variance, 0.0)),
+        ambient=_filled(ambient),
+        ambient_variance=_filled(variance),
+        first=float(table.first_distance),
+        pitch=float(table.distance_step),
+        fade=fade,
+        reach=np.array(reach),
+        sensors=sensors if read else 0,
+    )
 
 
 def _joined(first: Tensor, second: Tensor) -> Tensor:
