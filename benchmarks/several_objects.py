@@ -51,7 +51,7 @@ def main() -> None:
     random = [random_arena(rng, inner=2) for _ in range(30)]
     places = {
         "the paper's arena": [paper_arena()],
-        "within 35 mm of boards": [arena for arena in random if arena.inner],
+        "within 35 mm of boards": [arena for arena in random if arena.walls],
     }
     rows = [row for place, arenas in places.items() for row in compare(place, arenas, options)]
     if options.json:
@@ -74,7 +74,7 @@ def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> lis
         for arena in arenas:
             # Nearer than the first distance the tables repeat themselves.
             poses = arena.free_poses(options.poses // len(arenas), RADIUS + FIRST, rng)
-            if arena.inner:
+            if arena.walls:
                 poses = poses[to_walls(arena, poses)[len(arena.outline) :].min(axis=0) < NEAR]
             truth = readings(params, arena, poses)
             distances, near = combined(sensors, arena, poses)
@@ -150,7 +150,7 @@ def combined(
 
 def to_walls(arena: Place, poses: np.ndarray) -> np.ndarray:
     """Return the distance (m) from the rim to every wall, [W, N]."""
-    ends = arena.walls[:, None]
+    ends = arena.surfaces[:, None]
     along = ends[..., 2:] - ends[..., :2]
     fraction = ((poses[:, :2] - ends[..., :2]) * along).sum(-1) / (along**2).sum(-1)
     point = ends[..., :2] + np.clip(fraction, 0.0, 1.0)[..., None] * along
