@@ -134,11 +134,13 @@ def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) ->
     state = network.start(torch.zeros(len(starts), 3, dtype=torch.float64), member=-1)
     for _ in range(math.ceil(_CALM / step)):
         state = network.step(state, torch.from_numpy(calm))
-    moved = np.zeros((len(inputs), 3))
+    moved, where = np.zeros((len(inputs), 3)), rows.start_array()
     for number in range(lasts.max()):
         going = np.flatnonzero(lasts > number)
         place = starts[going] + number
         was = state[going]
+        if where is not None:  # what the floor does there
+            was[:, :3] = torch.from_numpy(where[place])
         state[going] = network.step(was, torch.from_numpy(inputs[place][:, own]))
         moved[place] = se2.between(was[:, :3].numpy(), state[going, :3].numpy())
     return moved

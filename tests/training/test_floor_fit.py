@@ -9,7 +9,7 @@ from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.floor import Floor
 from neurosim.training.base import Within
 from neurosim.training.train import learn
-from neurosim.training.trainers.floor_fit import evened, fit_floor
+from neurosim.training.trainers.floor_fit import MOST_ROWS, evened, fit_floor
 
 torch.set_num_threads(1)
 
@@ -91,6 +91,18 @@ def test_on_an_even_floor_none_is_learned():
     same = torch.zeros(20, 3, dtype=torch.float64)
     generator = torch.Generator()
     assert fit_floor(same, same, same[:, :2], torch.ones(20, 2), 1, generator) is None
+
+
+def test_of_very_many_rows_some_are_enough_and_a_line_is_an_area():
+    floor, (start, moved, scatter) = uneven(1.0), rows(3 * MOST_ROWS - 1, 5)
+    fit = fitted(floor, start, moved, scatter)
+    assert fit.unseen.shape == (3 * MOST_ROWS - 1,)
+    assert (fit.unseen[::3] != 0).all()
+    assert (fit.unseen[1::3] == 0).all()
+    # Up and down a line 2 m long: no wider than a tenth of it.
+    start = start[:200] * torch.tensor([1.0, 0.0, 1.0])
+    narrow = fitted(floor, start, moved[:200], scatter[:200])
+    assert narrow.floor.weights.shape[1:].numel() < 400
 
 
 def test_rows_are_evened_by_what_the_floor_did():

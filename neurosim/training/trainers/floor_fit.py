@@ -21,6 +21,10 @@ LENGTHS = (1 / 8, 1 / 5, 1 / 3, 1 / 2)
 RATIOS = tuple(10.0 ** (step / 3) for step in range(-15, 7))
 #: A map must raise the log-likelihood by so much to be believed.
 BELIEVED = 5.0
+#: So many rows, evenly spread over all, are enough for a map.
+MOST_ROWS = 4000
+#: Where a robot drove up and down a line, the area counts as so much of its length wide.
+NARROWEST = 0.1
 #: What is farther off than this, in standard deviations, counts as if it were so far off.
 FAR = 2.5
 #: Steps in which rows are evened, each about a hundred times as exact as the one before.
@@ -34,7 +38,8 @@ class FloorFit(NamedTuple):
 
     Attributes:
         floor: itself.
-        unseen: turn that it makes of each row by all other rows, less that by all rows, [N] rad.
+        unseen: turn that it makes of each row by all other rows, less that by all rows, [N] rad;
+            0 of rows beyond :data:`MOST_ROWS`, of which each changes little.
     """
 
     floor: Floor
@@ -56,7 +61,7 @@ class _Believed(NamedTuple):
         basis: what makes bells' weights of those of the eigenvectors, [K, K].
         weights: of the eigenvectors, [K].
         sd: standard deviations of these, [K].
-        unseen: as in :class:`FloorFit`.
+        unseen: as in :class:`FloorFit`, of the rows that it was learned of.
     """
 
     gain: float
@@ -85,9 +90,15 @@ def fit_floor(
         members: how many members draw a floor of their own.
         generator: of these draws.
     """
-    size = (start[:, :2].amax(0) - start[:, :2].amin(0)).clamp(min=1e-3)
+    chosen = slice(None, None, -(-len(start) // MOST_ROWS))
+    every, (start, moved, left, trust) = (
+        len(start),
+        (x[chosen] for x in (start, moved, left, trust)),
+    )
+    size = start[:, :2].amax(0) - start[:, :2].amin(0)
+    size = size.clamp(min=NARROWEST * float(size.max()))
     sizes = 1.4826 * (left * trust.sqrt()).abs().median(0).values
-    if (sizes <= 0).any():
+    if (sizes <= 0).any() or (size <= 0).any():
         return None
     root = trust.sqrt() / sizes
     best: _Believed | None = None
@@ -107,7 +118,9 @@ def fit_floor(
     weights = torch.cat([best.weights[None], best.weights + best.sd * drawn]) @ best.basis.T
     where = best.floor
     weights = weights.unflatten(1, where.weights.shape[1:])
-    return FloorFit(Floor(weights, where.origin, where.length, where.ahead), best.unseen)
+    unseen = torch.zeros(every, dtype=torch.float64)
+    unseen[chosen] = best.unseen
+    return FloorFit(Floor(weights, where.origin, where.length, where.ahead), unseen)
 
 
 def evened(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
