@@ -61,7 +61,7 @@ def shows(cell):
 
 @by_name
 def test_it_is_stored_with_its_outputs(path):
-    again = f"run it and store its outputs: python docs/run_notebooks.py {path.name}"
+    again = f"run it and store its outputs: python docs/run_notebooks.py notebooks/{path.name}"
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     cells = code_cells(notebook)
