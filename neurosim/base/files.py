@@ -485,9 +485,10 @@ def read_json(
         )
     stored = document.get("version")
     if isinstance(stored, bool) or not isinstance(stored, int) or not oldest <= stored <= version:
+        read = f"version {version}" if oldest == version else f"versions {oldest} to {version}"
         raise FileError(
             path,
-            f"this neurosim reads version {version}, found {stored!r}; "
+            f"this neurosim reads {read}, found {stored!r}; "
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
