@@ -59,12 +59,18 @@ class Floor:
             raise ValueError("floor's weights must be of networks, rows and columns")
         if not self.length > 0 or not 0 <= self.ahead <= 1:
             raise ValueError("floor's length must be above 0, and the way's part between 0 and 1")
-        rows, columns = (
-            1 + math.ceil((SPACING * (count - 1) + 4.0) / CELL) for count in self.weights.shape[1:]
-        )
-        bells = self.bells(_grid(self.corner, self.cell, (rows, columns)))
-        values = torch.einsum("cpk,mk->mpc", bells, self.weights.flatten(1))
-        object.__setattr__(self, "map", values.unflatten(1, (rows, columns)).contiguous())
+        (x, along_x), (y, along_y) = self._along(0), self._along(1)
+        parts = [y @ self.weights @ x.T, y @ self.weights @ along_x.T, along_y @ self.weights @ x.T]
+        object.__setattr__(self, "map", torch.stack(parts, dim=-1))
+
+    def _along(self, axis: int) -> tuple[Tensor, Tensor]:
+        """Return bells and their slopes along an axis of the map, [points, bells]."""
+        count = self.weights.shape[2 - axis]
+        points = 1 + math.ceil((SPACING * (count - 1) + 4.0) / CELL)
+        bells, at = (torch.arange(n, dtype=torch.float64) for n in (count, points))
+        off = SPACING * bells + 2.0 - CELL * at.unsqueeze(1)
+        value = (-0.5 * off.square()).exp()
+        return value, value * off / self.length
 
     @property
     def centres(self) -> Tensor:

@@ -1,14 +1,17 @@
 """The default trainer: a drive model, and a Gaussian process for what it leaves.
 
-Two things are learned one after the other:
+Three things are learned one after the other:
 
 1. the drive model (:mod:`neurosim.training.trainers.drive_fit`): lags, delay, kinematics;
 2. a Gaussian process of its residuals (:mod:`neurosim.training.trainers.gaussian_process`).
    Held-out rows decide for each output how much it counts (stacking: Wolpert 1992, Breiman 1996),
-   so that it counts for nothing where the rows do not support it.
+   so that it counts for nothing where the rows do not support it;
+3. the floor (:mod:`neurosim.training.trainers.floor_fit`), if rows say where the robot was and show
+   one. Drive model and process are then fitted again to what the rows would be without it.
 
-Each member of the ensemble learns both from rows with random weights (the Bayesian bootstrap: Rubin
-1981), and from a draw of the process' prior. So members differ by all that the rows leave open.
+Each member of the ensemble learns the first two from rows with random weights (the Bayesian
+bootstrap: Rubin 1981) and from a draw of the process' prior, and has a floor of its own. So members
+differ by all that the rows leave open.
 """
 
 from __future__ import annotations
