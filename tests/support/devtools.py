@@ -57,6 +57,12 @@ class Tab:
                 self.complaints.append(f"{entry['text']} {entry.get('url', '')}")
 
     def open(self, url):
+        """Leave the page that is open, with its complaints, and open another."""
+        self._go("about:blank")
+        self.complaints.clear()  # a page whose server went away says so until it is left
+        self._go(url)
+
+    def _go(self, url):
         self.call("Page.navigate", url=url)
         self.until("document.readyState === 'complete'")
 
