@@ -15,7 +15,6 @@ an ensemble has its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +24,7 @@ from torch import Tensor
 
 from neurosim.base.kernels import kernel
 from neurosim.base.se2 import tensors as se2
+from neurosim.simulators.motion.maps import cell_of, cells_of
 
 #: Pieces of a displacement's arc.
 PIECES = 3
@@ -75,7 +75,10 @@ class Floor:
     @property
     def centres(self) -> Tensor:
         """Where the bells are, [K, 2] m, in the order of their weights."""
-        return _grid(self.origin, SPACING * self.length, self.weights.shape[1:])
+        rows, columns = (
+            torch.arange(count, dtype=torch.float64) for count in self.weights.shape[1:]
+        )
+        return self.origin + SPACING * self.length * torch.cartesian_prod(rows, columns).flip(1)
 
     def bells(self, points: Tensor) -> Tensor:
         """Return bells and their gradients [3, P, K] at points [P, 2]: value, along x, along y."""
@@ -115,11 +118,9 @@ class Floor:
     def _at(self, points: Tensor, network: Tensor) -> Tensor:
         """Return the map [B, P, 3] at points [B, P, 2], linear between those of the grid."""
         table = self.map.to(points)
-        rows, columns = table.shape[1:3]
-        place = (points - self.corner.to(points)) / self.cell
-        across, up = place[..., 0].clamp(0, columns - 1), place[..., 1].clamp(0, rows - 1)
-        i, j = across.long().clamp(max=columns - 2), up.long().clamp(max=rows - 2)
-        a, b = (across - i).unsqueeze(-1), (up - j).unsqueeze(-1)
+        shape = table.shape[1], table.shape[2]
+        i, j, a, b = cells_of(points[..., 0], points[..., 1], self.corner, self.cell, shape)
+        a, b = a.unsqueeze(-1), b.unsqueeze(-1)
         m = network.reshape(-1, 1).expand_as(i)
         near, far = ((1 - a) * table[m, row, i] + a * table[m, row, i + 1] for row in (j, j + 1))
         return (1 - b) * near + b * far
@@ -148,15 +149,6 @@ def even() -> dict[str, Any]:
     }
 
 
-def _grid(origin: Tensor, step: float, shape: Sequence[int]) -> Tensor:
-    """Return the points of a grid of rows and columns, [rows * columns, 2], row by row."""
-    y, x = (
-        origin[1 - axis] + step * torch.arange(count, dtype=torch.float64)
-        for axis, count in enumerate(shape)
-    )
-    return torch.cartesian_prod(y, x).flip(1)
-
-
 def pieces(pose: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
     """Return the middles of the pieces of arcs [B, PIECES, 2], and their chords, board frame.
 
@@ -181,23 +173,20 @@ def on_floor(a, network, x, y, theta, dx, dy, turn):
         x, y, theta: pose (m, m, rad).
         dx, dy, turn: displacement on an even floor (m, m, rad).
     """
-    table, cell = a.floor_map[network], a.floor_cell
+    table = a.floor_map[network]
     rows, columns = table.shape[0], table.shape[1]
     third = min(max(turn, -math.pi), math.pi) / 3.0
     cos, sin, c, s = math.cos(theta), math.sin(theta), math.cos(third), math.sin(third)
-    share = 1.0 / (1.0 + 2.0 * c)
-    mx, my = share * (cos * dx - sin * dy), share * (sin * dx + cos * dy)
-    at_x, at_y = x - a.floor_corner[0], y - a.floor_corner[1]
+    part = 1.0 / (1.0 + 2.0 * c)
+    mx, my = part * (cos * dx - sin * dy), part * (sin * dx + cos * dy)
     turned, lost_x, lost_y, mean = 0.0, 0.0, 0.0, 0.0
     for n in range(PIECES):
         own = (n - 1) * s  # the first piece is turned back by a third, the last ahead
         rest = c if n != 1 else 1.0
         cx, cy = rest * mx - own * my, own * mx + rest * my
-        across, up = (at_x + 0.5 * cx) / cell, (at_y + 0.5 * cy) / cell
-        at_x, at_y = at_x + cx, at_y + cy
-        across, up = min(max(across, 0.0), columns - 1.0), min(max(up, 0.0), rows - 1.0)
-        i, j = min(int(across), columns - 2), min(int(up), rows - 2)
-        u, v = across - i, up - j
+        at_x, at_y = x + 0.5 * cx, y + 0.5 * cy
+        x, y = x + cx, y + cy
+        i, j, u, v = cell_of(at_x, at_y, a.floor_corner, a.floor_cell, rows, columns)
         p, q, r, t = (1.0 - v) * (1.0 - u), (1.0 - v) * u, v * (1.0 - u), v * u
         near, right, far, both = table[j, i], table[j, i + 1], table[j + 1, i], table[j + 1, i + 1]
         lost = p * near[0] + q * right[0] + r * far[0] + t * both[0]
@@ -206,7 +195,7 @@ def on_floor(a, network, x, y, theta, dx, dy, turn):
         turned += cx * along_y - cy * along_x
         lost_x, lost_y, mean = lost_x + lost * cx, lost_y + lost * cy, mean + lost / PIECES
     turned -= turn * mean
-    mx, my = mx / share - a.floor_ahead * lost_x, my / share - a.floor_ahead * lost_y
+    mx, my = mx / part - a.floor_ahead * lost_x, my / part - a.floor_ahead * lost_y
     c, s = math.cos(0.5 * turned), math.sin(0.5 * turned)
     mx, my = c * mx - s * my, s * mx + c * my
     return cos * mx + sin * my, cos * my - sin * mx, turn + turned

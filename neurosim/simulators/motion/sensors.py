@@ -14,6 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from neurosim.base.kernels import kernel
+from neurosim.simulators.motion.maps import cell_of, cells_of
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,7 @@ class Sensors:
         x = pose[:, :1] + cos * ahead - sin * aside
         y = pose[:, 1:2] + sin * ahead + cos * aside
         maps = self.maps.to(pose)
-        _, ny, nx = maps.shape
-        across = ((x - float(self.origin[0])) / self.cell).clamp(0.0, nx - 1.0)
-        up = ((y - float(self.origin[1])) / self.cell).clamp(0.0, ny - 1.0)
-        i, j = across.long().clamp(max=nx - 2), up.long().clamp(max=ny - 2)
-        a, b = across - i, up - j
+        i, j, a, b = cells_of(x, y, self.origin, self.cell, (maps.shape[1], maps.shape[2]))
         k = self.place.to(pose.device).expand_as(i)
         near, right = maps[k, j, i], maps[k, j, i + 1]
         far, both = maps[k, j + 1, i], maps[k, j + 1, i + 1]
@@ -126,11 +123,8 @@ def read(a, x, y, theta, z, first, out):
     ny, nx = a.sensor_maps.shape[1], a.sensor_maps.shape[2]
     for n in range(len(a.sensor_mount)):
         ahead, aside = a.sensor_mount[n, 0], a.sensor_mount[n, 1]
-        across = (x + cos * ahead - sin * aside - a.sensor_origin[0]) / a.sensor_cell
-        up = (y + sin * ahead + cos * aside - a.sensor_origin[1]) / a.sensor_cell
-        across, up = min(max(across, 0.0), nx - 1.0), min(max(up, 0.0), ny - 1.0)
-        i, j = min(int(across), nx - 2), min(int(up), ny - 2)
-        u, v = across - i, up - j
+        at_x, at_y = x + cos * ahead - sin * aside, y + sin * ahead + cos * aside
+        i, j, u, v = cell_of(at_x, at_y, a.sensor_origin, a.sensor_cell, ny, nx)
         board = a.sensor_maps[a.sensor_place[n]]
         near, right, far, both = board[j, i], board[j, i + 1], board[j + 1, i], board[j + 1, i + 1]
         value = (1.0 - v) * ((1.0 - u) * near + u * right) + v * ((1.0 - u) * far + u * both)

@@ -107,9 +107,11 @@ def fit_floor(
         count = (size / (SPACING * length)).ceil().long() + 3
         origin = start[:, :2].amin(0) - (SPACING * length * (count - 1) - size) / 2
         none = torch.zeros(1, int(count[1]), int(count[0]), dtype=torch.float64)
-        for ahead in (0.0, 1.0):
-            where = Floor(none, origin, length, ahead)
-            one = _of_bells(where, start, moved, left, root)
+        floors = [Floor(none, origin, length, ahead) for ahead in (0.0, 1.0)]
+        whitened = _whitening(floors[0])
+        design = _effects(floors[0], start, moved) @ whitened
+        for where in floors:
+            one = _of_bells(where, whitened, design, left, root)
             if one.gain > (BELIEVED if best is None else best.gain):
                 best = one
     if best is None:
@@ -137,19 +139,21 @@ def evened(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
     return even
 
 
-def _of_bells(where: Floor, start: Tensor, moved: Tensor, left: Tensor, root: Tensor) -> _Believed:
+def _of_bells(
+    where: Floor, whitened: Tensor, design: Tensor, left: Tensor, root: Tensor
+) -> _Believed:
     """Return the likeliest map of bells at these places.
 
     Args:
         where: the places, and whether the way ahead tells of the map, too.
-        start, moved, left: as in :func:`fit_floor`.
+        whitened: of :func:`_whitening`.
+        design: product of :func:`_effects` and that, [N, 2, K].
+        left: as in :func:`fit_floor`.
         root: what makes of ``left`` numbers of about 1, [N, 2].
     """
     columns = slice(2 if where.ahead else 1)
     scaled = (left * root).clamp(-FAR, FAR)[:, columns]
-    whitened = _whitening(where)
-    design = _effects(where, start, moved)[:, columns] @ whitened
-    design = (design * root[:, columns, None]).flatten(0, 1)
+    design = (design[:, columns] * root[:, columns, None]).flatten(0, 1)
     y = scaled.flatten()
     values, vectors = torch.linalg.eigh(design.T @ design)
     values, along = values.clamp(min=0.0), vectors.T @ (design.T @ y)
