@@ -641,11 +641,11 @@ class Fractions(Format):
 
 
 class Floor(Format):
-    """A floor: how much of the motion is lost where.
+    """A map of the slip over the board.
 
     Attributes:
-        length: distance over which it changes, m.
-        ahead: how much of the fraction the way ahead loses too.
+        length: distance over which slip changes, m.
+        ahead: effect of slip on the distance driven, relative to its effect on turns.
     """
 
     length: Annotated[float, Meta(gt=0)]
@@ -653,10 +653,10 @@ class Floor(Format):
 
 
 class Unevenness(Floor):
-    """A floor that was learned.
+    """A learned map of the slip.
 
     Attributes:
-        sd: standard deviation of the lost fraction over the board.
+        sd: standard deviation of the slip over the board, as a fraction of the motion.
     """
 
     sd: float

@@ -94,8 +94,8 @@ def _composition(simulator: Artefact) -> list[Block]:
     )
     if made.get("floor"):
         words += (
-            f"; the floor takes a fraction of the motion that differs by "
-            f"{made['floor']['sd']:.1%} (standard deviation) from place to place"
+            f"; the slip differs by {made['floor']['sd']:.1%} of the motion (standard deviation) "
+            "from place to place on the board"
         )
     return [
         Table(

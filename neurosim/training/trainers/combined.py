@@ -111,7 +111,7 @@ class CombinedSettings(Checked):
             and other parameters of the actuators), ``dead_band``, ``swing`` (how a caster turns
             when the direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows
             with larger errors count less), ``drive_members`` (a drive model for each member),
-            ``floor`` (a map of where on the board how much of the motion is lost).
+            ``floor`` (a map of the slip over the board).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
