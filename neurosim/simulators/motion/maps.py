@@ -18,9 +18,9 @@ def cells_of(
         cell: distance between its points, m.
         shape: number of its rows and columns, at least 2.
     """
-    rows, columns = shape
-    across = ((x - float(origin[0])) / cell).clamp(0.0, columns - 1.0)
-    up = ((y - float(origin[1])) / cell).clamp(0.0, rows - 1.0)
+    (rows, columns), (left, low) = shape, origin.to(x).unbind()
+    across = ((x - left) / cell).clamp(0.0, columns - 1.0)
+    up = ((y - low) / cell).clamp(0.0, rows - 1.0)
     i, j = across.long().clamp(max=columns - 2), up.long().clamp(max=rows - 2)
     return i, j, across - i, up - j
 
