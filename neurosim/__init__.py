@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from neurosim.base.compiled import keep_compiled_later
+from neurosim.base.lazy import names_of
 
 __version__ = "0.1.0"
 
@@ -55,6 +56,8 @@ _PUBLIC = {
     "Episode": "neurosim.base.trajectory",
     "UserError": "neurosim.base.errors",
 }
+
+__getattr__ = names_of(__name__, _PUBLIC)
 
 keep_compiled_later(Path(__file__).parent, Path(__file__).parents[1] / "tracking")
 
@@ -119,12 +122,6 @@ def register(what: str, name: str, item: Any = None) -> Any:
         raise UserError(f"{what!r} cannot be registered; choose one of: {', '.join(_REGISTRIES)}")
     module, attribute = _REGISTRIES[what]
     return getattr(import_module(module), attribute).register(name, item)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'neurosim' has no attribute {name!r}")
-    return getattr(import_module(_PUBLIC[name]), name)
 
 
 def __dir__() -> list[str]:

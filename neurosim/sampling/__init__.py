@@ -10,13 +10,18 @@ Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``rea
 ``.sample`` files and the reaction in ``sampling.json`` are made of that.
 """
 
-from neurosim.sampling.build import build_tables, sampled_baud, sampled_body, sampled_reaction
+from typing import TYPE_CHECKING
+
+from neurosim.base.lazy import names_of
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import interpolation_cost
 from neurosim.sampling.resampling import full_turn
 from neurosim.sampling.sampler import FORMAT, VERSION, sample
 from neurosim.sampling.settings import SampleSettings
 from neurosim.sampling.turns import read_turns
+
+if TYPE_CHECKING:
+    from neurosim.sampling.build import build_tables, sampled_baud, sampled_body, sampled_reaction
 
 __all__ = [
     "Eye",
@@ -32,3 +37,8 @@ __all__ = [
     "sampled_body",
     "sampled_reaction",
 ]
+
+#: They build simulators, which needs PyTorch.
+_BUILD = ("build_tables", "sampled_baud", "sampled_body", "sampled_reaction")
+
+__getattr__ = names_of(__name__, dict.fromkeys(_BUILD, "neurosim.sampling.build"))
