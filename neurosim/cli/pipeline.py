@@ -9,18 +9,21 @@ import os
 import re
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
 import neurosim
 from neurosim.base import formats
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.cluster import Name
 from neurosim.base.declared import Mismatch, convert
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
@@ -33,6 +36,7 @@ from neurosim.base.files import (
     write_csv,
 )
 from neurosim.cli._common import emit, json_option
+from neurosim.cli._processes import Processes
 from neurosim.cli._stages import MAKES, Experiment, Line, Made, Stage, experiment_of, read_tables
 from neurosim.cli._types import PATH
 
@@ -46,9 +50,29 @@ MOST_SHOWN = 6
 @click.option(
     "-o", "--out", type=PATH, help="Folder of all outputs.  [default: FILE without .toml]"
 )
+@click.option(
+    "--at-once",
+    type=click.IntRange(1, 10_000),
+    help="Combinations of a sweep that run at once.  [default: 1; ray: the cluster's cores]",
+)
+@click.option(
+    "--workers",
+    type=click.Choice(get_args(Name)),
+    default="local",
+    show_default=True,
+    help="Where stages run: local, on this computer; or ray, on a Ray cluster whose computers "
+    "share these folders.",
+)
 @json_option
 @click.pass_context
-def pipeline(ctx: click.Context, file: Path, out: Path | None, as_json: bool) -> None:
+def pipeline(
+    ctx: click.Context,
+    file: Path,
+    out: Path | None,
+    at_once: int | None,
+    workers: Name,
+    as_json: bool,
+) -> None:
     """Run the stages of FILE in their order, each with the options of its table.
 
     FILE is TOML: a table for each stage, such as [train], with the options of that command as keys.
@@ -58,6 +82,7 @@ def pipeline(ctx: click.Context, file: Path, out: Path | None, as_json: bool) ->
     """
     commands = ctx.find_root().command
     assert isinstance(commands, click.Group)
+    plugins = [path.absolute() for path in ctx.find_root().params.get("plugins") or ()]
     tables, folder = read_tables(file), (out or file.with_suffix("")).absolute()
     if folder == file.absolute():
         raise UserError(f"{file} has no ending: name a folder for the outputs with -o")
@@ -67,9 +92,12 @@ def pipeline(ctx: click.Context, file: Path, out: Path | None, as_json: bool) ->
         with locked(folder, "used"), contextlib.ExitStack() as stack:
             # The stages' own words are for people.
             stack.enter_context(contextlib.redirect_stdout(sys.stderr if as_json else sys.stdout))
-            run = _Run(experiment, _shown(folder), commands)
+            processes = None
+            if workers != "local" or (at_once or 1) > 1:
+                processes = Processes(at_once, workers, plugins)
+            run = _Run(experiment, _shown(folder), commands, processes)
             stack.callback(run.log.close)
-            points = [run.point(point) for point in experiment.points()]
+            points = run.points()
     rows = [_row(point) for point in points]
     summary = None
     if experiment.sweep:
@@ -91,13 +119,18 @@ class _Run:
         experiment: its stages.
         folder: of all outputs.
         commands: the group of all commands.
+        processes: where the stages of several combinations run at once; None: all in this process.
     """
 
     experiment: Experiment
     folder: Path
     commands: click.Group
+    processes: Processes | None = None
     log: JsonLines = field(init=False)
     _digests: dict[Path, str] = field(default_factory=dict)
+    #: Held while a stage is done: combinations share what does not depend on their values.
+    _busy: dict[tuple[Path, str], threading.Lock] = field(default_factory=dict)
+    _writing: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self.log = JsonLines(self.folder / "pipeline.jsonl", FORMAT, VERSION, {})
@@ -107,13 +140,32 @@ class _Run:
             except Mismatch as error:
                 raise FileError(self.log.path, error.what, line=line, field=error.field) from None
 
+    def points(self) -> list[dict[str, Any]]:
+        """Run all combinations of swept values; return :meth:`point` of each."""
+        points = self.experiment.points()
+        if self.processes is None:
+            return [self.point(point) for point in points]
+        with ThreadPoolExecutor(self.processes.count) as pool:
+            waiting = [pool.submit(self.point, point) for point in points]
+            try:
+                for one in as_completed(waiting):
+                    one.result()  # the first error ends the others
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                self.processes.end()
+                raise
+        return [one.result() for one in waiting]
+
     def point(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Run all stages with a combination of swept values; return the result of each."""
         made: dict[str, Made] = {}
         stages = {}
         for stage in self.experiment.at(point):
             folder = self._folder_of(stage, made, point)
-            row, now = self._stage(stage, made, folder)
+            with self._writing:
+                busy = self._busy.setdefault((folder[0], stage.name), threading.Lock())
+            with busy:
+                row, now = self._stage(stage, made, folder)
             stages[stage.name] = {
                 "out": None if row.get("out") is None else self.folder / row["out"],
                 "seconds": row["seconds"],
@@ -212,12 +264,9 @@ class _Run:
             words = [*stage.words, *line.words, *(["--resume"] if resume else [])]
             click.secho(f"$ neurosim {shlex.join(words)}", bold=True)
             with stage.named():
-                code = self.commands.main(
-                    words, prog_name="neurosim", standalone_mode=False, obj=result
-                )
-            if code:
-                click.get_current_context().exit(code)
-            click.echo()
+                result = self._result(words)
+            ended = f"{stage.name}: done in {time.monotonic() - began:.0f} s ({out or folder})"
+            click.echo("" if self.processes is None else ended)
         if out is not None:
             self._digests.pop(out, None)
         row = {
@@ -228,10 +277,21 @@ class _Run:
         }
         return self._append(row)
 
+    def _result(self, words: list[str]) -> dict[str, Any]:
+        """Run a stage's command; return its result."""
+        if self.processes is not None:
+            return self.processes.run(words)
+        result: dict[str, Any] = {}
+        code = self.commands.main(words, prog_name="neurosim", standalone_mode=False, obj=result)
+        if code:
+            click.get_current_context().exit(code)
+        return result
+
     def _append(self, row: dict[str, Any]) -> dict[str, Any]:
         row = json.loads(json.dumps(row, default=plain))
-        self.log.append(row)
-        self.log.rows.append(row)
+        with self._writing:
+            self.log.append(row)
+            self.log.rows.append(row)
         return row
 
     def _begun(self, stage: Stage, key: str) -> Path | None:

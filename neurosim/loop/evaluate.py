@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.cluster import Name
 from neurosim.base.errors import UserError
 from neurosim.base.generations import compiling_notice
 from neurosim.base.interrupts import uninterrupted
@@ -28,7 +29,7 @@ from neurosim.controllers.registry import make_controller
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
-from neurosim.loop.workers import Name, workers_named
+from neurosim.loop.workers import workers_named
 from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.registry import simulator_of
 from neurosim.simulators.sampling import PLACING, trial_steps

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.cluster import Name
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.base.files import check_new_folder
@@ -34,7 +35,6 @@ from neurosim.loop.search import Search, new_optimiser, part_of
 from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.loop.transfer import Transfer
 from neurosim.loop.unmet import in_unmet_arenas
-from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.sources import digest, named
 from neurosim.tasks.base import Task

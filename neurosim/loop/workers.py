@@ -7,23 +7,20 @@ part whose worker was lost is judged again by another.
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
-from typing import Any, Literal
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.cluster import Name, ray_cluster
 from neurosim.base.errors import UserError
 from neurosim.base.registry import PLUGIN
 from neurosim.base.threads import one_thread
-
-#: Names of workers.
-Name = Literal["local", "ray"]
 
 #: (evaluator, parts of a population, draws, how they are judged) -> what each part is worth, in
 #: their order; see :meth:`neurosim.loop.evaluate.Evaluator.merit_of`.
@@ -56,21 +53,7 @@ class Ray:
         Raises:
             UserError: if Ray is not installed or its cluster cannot be reached.
         """
-        try:
-            import ray
-        except ImportError:
-            raise UserError(
-                "the workers ray need the package Ray: pip install 'neurosim[ray]'"
-            ) from None
-        if not ray.is_initialized():
-            try:
-                ray.init(log_to_driver=False, logging_level=logging.ERROR)
-            except (ConnectionError, RuntimeError, ValueError) as error:
-                why = (str(error).strip() or type(error).__name__).splitlines()[0]
-                raise UserError(
-                    f"no Ray cluster can be reached or started ({why}); see RAY_ADDRESS"
-                ) from None
-        self._ray = ray
+        self._ray = ray = ray_cluster()
         self._judge = ray.remote(max_retries=-1)(_judge)
 
     def __call__(

@@ -4,6 +4,9 @@ import csv
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 from cli_pipeline import neurosim
 from click.testing import CliRunner
-from patience import ended_by
+from patience import PATIENCE, ended_by, wait_until
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.cli._stages import MAKES, Made, experiment_of
@@ -91,6 +94,79 @@ def test_the_example(tmp_path):
     assert head[0].split() == [
         "seed", "evolve.commands", "evolve:commands", "evolve:fitness", "evolve:completes",
     ]  # fmt: skip
+
+
+SWEEP = """
+[sweep]
+seed = [0, 1, 2]
+
+[simulator]
+command = "train"
+dataset = "DATA"
+trainer = "ga"
+generations = 1
+population = 10
+seed = 5
+
+[evolve]
+task = "nine-rectangles"
+generations = 1
+population = 10
+runs = 1
+"""
+
+
+def test_combinations_that_run_at_once_give_the_same(tmp_path):
+    file = tmp_path / "sweep.toml"
+    file.write_text(SWEEP.replace("DATA", str(ROOT / "data" / "reference")))
+    expected, _ = pipeline(file, "-o", tmp_path / "one")
+    result, said = pipeline(file, "-o", tmp_path / "three", "--at-once", "3")
+    # The stage that all three share is done once; the others wait for it.
+    assert said.count("$ neurosim train") == said.count("simulator: done in") == 1
+    assert said.count("simulator: done before") == 2
+    assert said.count("evolve: done in") == 3
+    for one, other in zip(expected["points"], result["points"], strict=True):
+        assert one["sweep"] == other["sweep"]
+        for name in ("simulator", "evolve"):
+            first, second = (point["stages"][name]["result"] for point in (one, other))
+            assert first
+            assert set(first) == set(second)
+            assert {key: first[key] for key in first if key in ("fitness", "test_errors")} == {
+                key: second[key] for key in first if key in ("fitness", "test_errors")
+            }
+    again, said = pipeline(file, "-o", tmp_path / "three", "--at-once", "2")
+    assert "$ neurosim" not in said
+    assert all(one["done_before"] for point in again["points"] for one in point["stages"].values())
+
+
+def test_an_error_of_one_of_several_names_its_stage(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("damaged").mkdir()
+    Path("damaged/dataset.json").write_text("{")
+    Path("bad.toml").write_text(SWEEP.replace("DATA", "damaged"))
+    with pytest.raises(FileError, match=r"^bad.toml, field 'simulator': .*dataset.json") as error:
+        CliRunner().invoke(cli, ["pipeline", "bad.toml", "--at-once", "2"], catch_exceptions=False)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
+def test_ctrl_c_ends_all_that_run_at_once(tmp_path):
+    file = tmp_path / "sweep.toml"
+    text = SWEEP.replace("DATA", str(ROOT / "data" / "reference"))
+    file.write_text(text.replace("generations = 1\npopulation = 10\nruns", "runs"))
+    words = [sys.executable, "-m", "neurosim", "pipeline", str(file), "--at-once", "2"]
+    process = subprocess.Popen(
+        words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    begun = [tmp_path / "sweep" / f"seed={seed}" / "evolve.checkpoint" for seed in (0, 1)]
+    wait_until(lambda: all((one / "checkpoint.json").exists() for one in begun), "both evolutions")
+    process.send_signal(signal.SIGINT)  # to this process alone, which has to end the others
+    _, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    with pytest.raises(ProcessLookupError):
+        wait_until(lambda: os.killpg(process.pid, 0), "the end of all")
+    assert not (tmp_path / "sweep" / "seed=2").exists()
 
 
 def outs(result):

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,23 @@ pytestmark = pytest.mark.skipif(
 )
 
 SAMPLES = 64
+ROOT = Path(__file__).resolve().parents[2]
+SWEEP = """
+[sweep]
+seed = [0, 1]
+
+[train]
+dataset = "{data}"
+trainer = "ga"
+generations = 1
+population = 10
+seed = 5
+
+[evolve]
+generations = 30
+population = 20
+runs = 1
+"""
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +118,7 @@ def test_runs_of_an_evolution_by_the_command(cluster, simulator, tmp_path):
 
 MINE = """
 from dataclasses import dataclass
+from pathlib import Path
 from neurosim.tasks.nine_rectangles import NineRectangles
 
 @dataclass(frozen=True)
@@ -131,3 +150,18 @@ def test_what_a_worker_refuses_is_one_sentence(cluster, simulator):
     fitness = evaluate(simulator, NineRectangles(), family, workers="ray")
     with pytest.raises(UserError, match=r"^this controller refuses$"):
         fitness(np.zeros((3, 1)))
+
+
+@pytest.mark.parametrize("cluster", [2], indirect=True)
+def test_a_sweep_runs_on_a_cluster(cluster, tmp_path):
+    file = tmp_path / "sweep.toml"
+    file.write_text(SWEEP.format(data=(ROOT / "data" / "reference").as_posix()))
+    results = []
+    for workers in ("local", "ray"):
+        words = ["pipeline", str(file), "-o", str(tmp_path / workers), "--workers", workers]
+        done = CliRunner().invoke(cli, [*words, "--json"], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        points = json.loads(done.stdout)["points"]
+        results.append([point["stages"]["evolve"]["result"]["fitness"] for point in points])
+    assert results[0] == results[1]
+    assert len(set(results[0])) == 2

@@ -1,0 +1,120 @@
+"""Runs commands in processes of their own, on this computer or on a Ray cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from neurosim.base.cluster import Name, ray_cluster
+from neurosim.base.errors import UserError
+
+#: Seconds in which a command that is interrupted writes what it has.
+ENDING = 30.0
+
+
+class Processes:
+    """Runs several commands at once.
+
+    Attributes:
+        count: how many run at once.
+    """
+
+    def __init__(self, count: int | None, workers: Name, plugins: Sequence[Path] = ()):
+        """Prepare them; nothing runs yet.
+
+        Args:
+            count: how many; None: one on this computer, or as many as a cluster has cores.
+            workers: ``local``, this computer; or ``ray``, a cluster whose computers share the
+                folders.
+            plugins: files that each command runs first.
+
+        Raises:
+            UserError: if Ray is not installed or its cluster cannot be reached.
+        """
+        self._ray = None if workers == "local" else ray_cluster()
+        if self._ray is None:
+            self.count = count or 1
+            threads = max((os.cpu_count() or 1) // self.count, 1)
+        else:
+            self.count = count or max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
+            threads = 1
+        self._threads = dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), str(threads))
+        self._plugins = [word for path in plugins for word in ("--plugin", str(path))]
+        self._running: set[Any] = set()
+        self._lock, self._ended = threading.Lock(), False
+
+    def run(self, words: Sequence[str]) -> dict[str, Any]:
+        """Run a command of neurosim with ``--json``; return its result.
+
+        Raises:
+            UserError: with the command's last line on stderr, if it failed.
+        """
+        words = [sys.executable, "-m", "neurosim", *self._plugins, *words, "--json"]
+        run = self._here if self._ray is None else self._elsewhere
+        code, printed, said = run(words, os.environ | self._threads)
+        if code:
+            lines = said.strip().splitlines() or [f"it ended with exit code {code}"]
+            raise UserError(lines[-1].removeprefix("neurosim: "))
+        return dict(json.loads(printed))
+
+    def end(self) -> None:
+        """Interrupt what runs, as Ctrl-C does, and start nothing more."""
+        with self._lock:
+            self._ended, running = True, list(self._running)
+        for one in running:
+            if self._ray is None:
+                with suppress(OSError):
+                    one.send_signal(signal.SIGINT)
+            else:
+                self._ray.cancel(one, force=True)
+        for one in running if self._ray is None else ():
+            try:
+                one.wait(ENDING)
+            except subprocess.TimeoutExpired:
+                one.kill()
+
+    def _start(self, start: Any, *args: Any, **kwargs: Any) -> Any:
+        with self._lock:
+            if self._ended:
+                raise UserError("interrupted")
+            one = start(*args, **kwargs)
+            self._running.add(one)
+        return one
+
+    def _here(self, words: list[str], environment: dict[str, str]) -> tuple[int, str, str]:
+        pipe = subprocess.PIPE
+        process = self._start(
+            subprocess.Popen, words, env=environment, stdout=pipe, stderr=pipe, text=True
+        )
+        printed, said = process.communicate()
+        self._running.discard(process)
+        return process.returncode, printed, said
+
+    def _elsewhere(self, words: list[str], environment: dict[str, str]) -> tuple[int, str, str]:
+        assert self._ray is not None
+        task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
+        words[0] = "python"  # each computer's own
+        reference = self._start(task.remote, words, self._threads, str(Path.cwd()))
+        try:
+            return tuple(self._ray.get(reference))  # type: ignore[return-value]
+        except self._ray.exceptions.RayError as error:
+            raise UserError(f"its worker was lost: {type(error).__name__}") from None
+        finally:
+            self._running.discard(reference)
+
+
+def _run(words: list[str], environment: dict[str, str], folder: str) -> tuple[int, str, str]:
+    """Run a command in a worker of a cluster."""
+    words = [sys.executable, *words[1:]]
+    done = subprocess.run(
+        words, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout, done.stderr
