@@ -32,8 +32,8 @@ class Processes:
 
         Args:
             count: how many; None: one on this computer, or as many as a cluster has cores.
-            workers: ``local``, this computer; or ``ray``, a cluster whose computers share the
-                folders.
+            workers: ``local``, this computer; or ``ray``, a cluster whose computers reach the
+                same folders.
             plugins: files that each command runs first.
 
         Raises:

@@ -60,8 +60,8 @@ MOST_SHOWN = 6
     type=click.Choice(get_args(Name)),
     default="local",
     show_default=True,
-    help="Where stages run: local, on this computer; or ray, on a Ray cluster whose computers "
-    "share these folders.",
+    help="Where stages run: local, on this computer; or ray, on a Ray cluster. Its computers need "
+    "access to the same folders.",
 )
 @json_option
 @click.pass_context
@@ -167,7 +167,7 @@ class _Run:
             with busy:
                 row, now = self._stage(stage, made, folder)
             stages[stage.name] = {
-                "out": None if row.get("out") is None else self.folder / row["out"],
+                "out": None if row.get("out") is None else (self.folder / row["out"]).absolute(),
                 "seconds": row["seconds"],
                 "done_before": not now,
                 "result": row.get("result") or {},
