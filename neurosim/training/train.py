@@ -59,7 +59,7 @@ def train(
         out: the simulator folder to write.
         trainer: a name in :data:`neurosim.training.trainers.registry.TRAINERS`.
         seed: random seed.
-        device: Where to compute, as PyTorch names it.
+        device: Where the trainer ga computes, as PyTorch names it; the others compute on the CPU.
         sensors: Learn the sensors whose readings the dataset has.
         progress: show progress on stderr.
         tensorboard: folder for curves of the errors (extra ``tensorboard``); None: there are none.

@@ -166,13 +166,13 @@ class CombinedTrainer:
     def __init__(
         self, data: TrainingData, settings: CombinedSettings, seed: int, device: str = "cpu"
     ):
+        """Prepare to learn; ``device`` is not used: loops are compiled for the CPU."""
         names = tuple(entry["name"] for entry in data.inputs)
         if not can_drive(names):
             raise ValueError(
                 "it needs a duration and the previous value of each input; use the trainer ga"
             )
         self._data, self._settings, self._seed = data.once(), settings, seed
-        self._device = device
         self._columns = CommandFeatures.of(names)
         self._longest = float(self._data.input_scale[self._columns.duration])
         self._done: list[Tensor] = []
@@ -181,9 +181,9 @@ class CombinedTrainer:
     def advance(self) -> Tensor:
         """Learn the next part; return mean squared errors, [3]."""
         stages = (self._learn_drive, self._learn_process, self._learn_members)
-        with one_thread(self._device):
+        with one_thread():
             self._done.append(stages[len(self._done)]())
-        return self._done[-1].cpu()
+        return self._done[-1]
 
     def result(self) -> MotionNetwork:
         """Return the simulator: the mean, its members and its noise; the same on any cores."""
@@ -194,31 +194,29 @@ class CombinedTrainer:
     # The drive model
 
     def _learn_drive(self) -> Tensor:
-        data, settings, device = self._data, self._settings, self._device
-        x, y = data.scaled_inputs.to(device), data.y.to(device)
+        data, settings = self._data, self._settings
+        x, y = data.scaled_inputs, data.y
         driven, band = list(self._columns.driven), None
         if settings.dead_band is not None:
-            band = torch.tensor(settings.dead_band, dtype=x.dtype, device=device)[driven]
+            band = torch.tensor(settings.dead_band, dtype=x.dtype)[driven]
         elif "dead_band" in settings.without:
-            band = torch.zeros(len(driven), dtype=x.dtype, device=device)
+            band = torch.zeros(len(driven), dtype=x.dtype)
         within = None if settings.whole_commands else data.within
         self._windows: Windows | None = None
         self._motion: Motion | Chains
         laws = "laws" not in settings.without
         if data.joined is None:
-            follows = data.follows.to(device)
-            self._motion = Motion(x, y, follows, self._columns, self._longest, within)
+            self._motion = Motion(x, y, data.follows, self._columns, self._longest, within)
         else:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
-            joined = data.joined.to(device)
-            self._motion = Chains.of(x, y, joined, self._columns, self._longest, within)
+            self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
         return self._leave(fit_drive(self._motion, laws, band))
 
     def _leave(self, fit: Fit) -> Tensor:
         """Write down what a drive model leaves of the rows; return mean squared errors, [3]."""
         data, settings = self._data, self._settings
-        x, y = data.scaled_inputs.to(self._device), data.y.to(self._device)
+        x, y = data.scaled_inputs, data.y
         self._fit, self._drive = fit, fit.drive
         inputs, under = self._inputs(fit)
         self._dead_band = torch.zeros_like(x[0])
@@ -240,7 +238,7 @@ class CombinedTrainer:
         And where windows are learned from what is under way there, which inputs say only in part.
         """
         if isinstance(self._motion, Chains):
-            return self._motion.inputs(fit, self._data.scaled_inputs.to(self._device))
+            return self._motion.inputs(fit, self._data.scaled_inputs)
         return self._motion.inputs(fit), None
 
     def _phases(
