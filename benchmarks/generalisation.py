@@ -27,19 +27,19 @@ import numpy as np
 import neurosim as ns
 from neurosim.base.trajectory import Episode
 from neurosim.controllers.network import braitenberg
-from neurosim.lab.khepera.physics import penetration
 from neurosim.loop.evaluate import rollouts_of
-from neurosim.simulators.tables.kernels import SLACK
 from neurosim.simulators.tables.places import random_arena
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
-from neurosim.trials.floor import virtual_khepera
+from neurosim.trials.realities import REALITIES
 
 SECONDS = 60.0
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("tables", help="folder of a table simulator of a Khepera")
+    parser.add_argument("tables", help="folder of a table simulator")
+    parser.add_argument("--robot", default="virtual-khepera", help="of the lab; or virtual-thymio")
+    parser.add_argument("--lab-seed", type=int, default=0, help="which robot of the lab")
     parser.add_argument("--arenas", type=int, default=10, help="to be tried in")
     parser.add_argument("--inner", type=int, default=2, help="most walls inside each of them")
     parser.add_argument("--drives", type=int, default=50, help="in each of them")
@@ -55,7 +55,7 @@ def main() -> None:
     network = ns.make_controller("network", tables, paper)
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
     vehicle, weights = braitenberg(tables.reading_names, tables.bearings)
-    assert vehicle == network
+    assert vehicle.inputs == network.inputs
     result: dict[str, np.ndarray] = {"Braitenberg vehicle": weights}
     seconds = {}
     for name, task, more in (
@@ -66,9 +66,10 @@ def main() -> None:
         result[name] = ns.evolve(tables, task, network, progress=False, **how, **more)[0].genes
         seconds[name] = time.monotonic() - began
     rng = np.random.default_rng(2**31 + options.seed)
-    arenas = [random_arena(rng, inner=options.inner) for _ in range(options.arenas)]
+    arenas = [random_arena(rng, tables.radius, inner=options.inner) for _ in range(options.arenas)]
     rows = []
-    cases = (("tables", in_tables, options.drives), ("lab", in_the_lab, options.lab_drives))
+    lab = partial(in_the_lab, REALITIES.get(options.robot), options.lab_seed)
+    cases = (("tables", in_tables, options.drives), ("lab", lab, options.lab_drives))
     for where, drive, drives in cases:
         for name, genes in result.items() if drives else ():
             touched, fitness = drive(tables, network, genes, arenas, drives, options.seed)
@@ -105,22 +106,28 @@ def in_tables(
 
 
 def in_the_lab(
-    tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, seed: int
+    reality: Any,
+    robot: int,
+    tables: Any,
+    network: Any,
+    genes: np.ndarray,
+    arenas: list[Any],
+    drives: int,
+    seed: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same of a robot of the virtual lab, that which sampled the tables."""
+    """Return the same of a robot of the virtual lab."""
     rng = np.random.default_rng(seed)
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):
         simulator = tables.changed(place=arena)
-        around = partial(penetration, walls=arena.surfaces, cylinders=arena.cylinders)
         task = ObstacleAvoidance()
-        with virtual_khepera(network, task, simulator, seed=seed + a) as trials:
+        with reality(network, task, simulator, lab_seed=robot, seed=seed + a) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):
                 trials.rest()
                 trials._place(start)
                 driven = trials.drive(genes, round(10 * SECONDS), trials._pose(start))
                 assert driven.poses is not None
-                touched[a, d] = max(around(*pose[:2]) for pose in driven.poses[1:]) > -SLACK
+                touched[a, d] = simulator.touching(driven.poses[1:]).any()
                 fitness[a, d] = avoidance(driven)
     return touched, fitness
 

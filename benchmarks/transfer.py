@@ -163,10 +163,12 @@ def sample_robot(folder: Path, robot: int, options: argparse.Namespace) -> Path:
     arena, poses = sampling_places()
     rig = in_the_lab(robot, options, noise_seed=100 + robot, place=arena, start=poses["open"])
     with rig, rig.robot as driver:
+        rng = np.random.default_rng([robot, 0x6B50])
 
         def place(where: str) -> None:
+            x, y, theta = poses[where]
             slack = 0.0 if where == "open" else math.radians(1)
-            rig.lab.place(*poses[where], placing=(0.0, slack))
+            rig.lab.place(x, y, theta + slack * rng.standard_normal())
 
         sample(out, driver, SampleSettings(), place, seed=robot, progress=False)
     return out

@@ -176,9 +176,10 @@ def _check_sensors(robot: Any) -> None:
         _require(0.0 <= value <= 1.0, f"a reading lies in 0 to 1, but {name} is {value}")
     if isinstance(robot, Proximity):
         activations = np.asarray(robot.activations())
+        near = [name for name in names if name.startswith("sensor_")]
         _require(
-            activations.shape == np.shape(robot.angles) == (len(names),),
-            "activations() and angles must have one number for each sensor",
+            activations.shape == np.shape(robot.angles) == (len(near),),
+            "activations() and angles must have one number for each sensor_0, sensor_1, ...",
         )
 
 

@@ -933,11 +933,13 @@ class SampledRobot(Robot):
         dialect: dialect of its protocol.
         baud: bits per second of the serial line.
         full_speed: the robot's number for 100 %.
+        radius: radius of its body.
     """
 
     dialect: str | None = None
     baud: Annotated[int, Meta(ge=1, le=10**8)] | None = None
-    full_speed: Annotated[int, Meta(ge=1, le=10**4)] | None = None
+    full_speed: Annotated[int, Meta(ge=1, le=10**6)] | None = None
+    radius: Annotated[float, Meta(ge=0.001, le=10)] | None = None
 
 
 class SampleResult(Format):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,6 @@ from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import emit, is_given, json_option, next_step, seed_option
 from neurosim.cli._types import PATH, POSE, SIZE, Option, ranged
 
-_socket_option = click.option(
-    "--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device."
-)
 _port_option = click.option(
     "--port",
     type=click.IntRange(0, 65535),
@@ -28,26 +27,80 @@ _seconds_option = click.option(
 )
 
 
+def _line_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --socket and --port; the command takes ``line``, the settings of a rig's line."""
+
+    @click.option("--socket", "by_socket", is_flag=True, help="Serve a socket, not a device.")
+    @_port_option
+    @wraps(command)
+    def with_line(by_socket: bool, port: int, **others: Any) -> None:
+        if is_given("port") and not by_socket:
+            raise UserError("--port is the port of a socket: add --socket")
+        line = {"device": "socket" if by_socket else None, "port": port, "real_time": True}
+        command(line=line, **others)
+
+    return with_line
+
+
+def _place_options(default: str | None, start: str) -> Callable[[Any], Any]:
+    """Return a decorator that adds --place and --start.
+
+    Args:
+        default: the usual place; None: the board.
+        start: words for where the robot stands in it.
+    """
+    place = click.option(
+        "--place",
+        type=PATH,
+        default=default,
+        show_default=default or "the board",
+        help="The place, a JSON file or a name; arena: 60 x 35 cm with three obstacles.",
+    )
+    pose = click.option(
+        "--start",
+        cls=Option,
+        type=POSE,
+        help="Where the robot stands at first: x and y in cm, heading in degrees.  "
+        f"[the place's own; {start}]",
+    )
+    return lambda command: place(pose(command))
+
+
+def _board_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --place, --start and --seed; the command takes ``board``, these settings of a rig."""
+
+    @_place_options(None, "by default the middle")
+    @seed_option
+    @wraps(command)
+    def with_board(
+        place: Path | None, start: tuple[float, float, float] | None, seed: int, **others: Any
+    ) -> None:
+        from neurosim.base.place import Place
+
+        around = Place() if place is None else Place.of(place)
+        pose = start or around.start or (0.0, 0.0, 0.0)
+        board = {"robot_seed": seed, "around": around, "start": pose, "camera": False}
+        command(board=board, **others)
+
+    return with_board
+
+
 @click.group()
 def lab() -> None:
     """The virtual lab by itself: robots for other programs, photographs for calibration."""
 
 
 @lab.command()
-@_socket_option
-@_port_option
+@_board_options
+@_line_options
 @_seconds_option
-@seed_option
 @json_option
-def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
+def nxt(board: dict[str, Any], line: dict[str, Any], seconds: float | None, as_json: bool) -> None:
     """Keep a virtual NXT running in real time, for any program that uses LEGO's protocol."""
     from neurosim.lab import VirtualRig
     from neurosim.lab.nxt.world import Pacer
 
-    _check_port(by_socket)
-    with VirtualRig(
-        seed, camera=False, device="socket" if by_socket else None, port=port, real_time=True
-    ) as rig:
+    with VirtualRig(**line, **board) as rig:
         where, how = _commands_for(rig.address)
         with Pacer(rig.lab):
             emit(
@@ -59,22 +112,8 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 
 
 @lab.command()
-@click.option(
-    "--place",
-    type=PATH,
-    default="arena",
-    show_default=True,
-    help="The place, a JSON file or a name; arena: 60 x 35 cm with three obstacles.",
-)
-@click.option(
-    "--start",
-    cls=Option,
-    type=POSE,
-    help="Where the robot stands at first: x and y in cm, heading in degrees.  "
-    "[the place's own; in the default arena -22 0 0]",
-)
-@_socket_option
-@_port_option
+@_place_options("arena", "in the default arena -22 0 0")
+@_line_options
 @click.option(
     "--baud",
     type=ranged(Baud),
@@ -88,8 +127,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 def khepera(
     place: Path,
     start: tuple[float, float, float] | None,
-    by_socket: bool,
-    port: int,
+    line: dict[str, Any],
     baud: int,
     seconds: float | None,
     seed: int,
@@ -103,7 +141,6 @@ def khepera(
     from neurosim.lab.khepera.rig import START
     from neurosim.lab.nxt.world import Pacer
 
-    _check_port(by_socket)
     around = Place.of(place)
     pose = start or around.start or (START if around == paper_arena() else (0.0, 0.0, 0.0))
     around.check_start(pose, RADIUS)
@@ -111,10 +148,8 @@ def khepera(
         seed,
         place=around,
         start=pose,
-        device="socket" if by_socket else None,
-        port=port,
         baud=baud,
-        real_time=True,
+        **line,
     ) as rig:
         result = {"port": rig.address, "baud": baud}
         with Pacer(rig.lab):
@@ -137,26 +172,18 @@ def khepera(
     show_default=True,
     help="Two wheels, a model car, or a base that drives in any direction.",
 )
-@_socket_option
-@_port_option
+@_board_options
+@_line_options
 @_seconds_option
-@seed_option
 @json_option
 def lines(
-    kind: str, by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool
+    kind: str, board: dict[str, Any], line: dict[str, Any], seconds: float | None, as_json: bool
 ) -> None:
     """Keep a virtual robot running in real time that speaks lines of text (docs/lines.md)."""
     from neurosim.lab import VirtualLinesRig
     from neurosim.lab.nxt.world import Pacer
 
-    _check_port(by_socket)
-    device = "socket" if by_socket else None
-    with (
-        VirtualLinesRig(
-            seed, kind=kind, camera=False, device=device, port=port, real_time=True
-        ) as rig,
-        Pacer(rig.lab),
-    ):
+    with VirtualLinesRig(kind=kind, **line, **board) as rig, Pacer(rig.lab):
         emit(
             {"port": rig.address},
             as_json,
@@ -169,16 +196,40 @@ def lines(
 
 
 @lab.command()
+@_board_options
+@_line_options
+@_seconds_option
+@json_option
+def thymio(
+    board: dict[str, Any], line: dict[str, Any], seconds: float | None, as_json: bool
+) -> None:
+    """Keep a virtual Thymio II running in real time, for any program that speaks Aseba."""
+    from neurosim.lab import VirtualThymioRig
+    from neurosim.lab.nxt.world import Pacer
+
+    with VirtualThymioRig(**line, **board) as rig, Pacer(rig.lab):
+        emit(
+            {"port": rig.address},
+            as_json,
+            "A virtual Thymio II runs in real time. Reach it with:\n"
+            f"  neurosim check-robot --robot thymio --port {rig.address}\n"
+            f"  neurosim record OUT --robot thymio --port {rig.address} --camera none\n"
+            "Ctrl-C ends it.",
+        )
+        _stay(rig, seconds)
+
+
+@lab.command()
+@_board_options
 @_port_option
 @_seconds_option
-@seed_option
 @json_option
-def ros(port: int, seconds: float | None, seed: int, as_json: bool) -> None:
+def ros(board: dict[str, Any], port: int, seconds: float | None, as_json: bool) -> None:
     """Keep a virtual base running in real time behind a rosbridge, for any of its clients."""
     from neurosim.lab import VirtualRosRig
     from neurosim.lab.nxt.world import Pacer
 
-    with VirtualRosRig(seed, camera=False, port=port, real_time=True) as rig, Pacer(rig.lab):
+    with VirtualRosRig(port=port, real_time=True, **board) as rig, Pacer(rig.lab):
         emit(
             {"url": rig.address},
             as_json,
@@ -189,11 +240,6 @@ def ros(port: int, seconds: float | None, seed: int, as_json: bool) -> None:
             "Ctrl-C ends it.",
         )
         _stay(rig, seconds)
-
-
-def _check_port(by_socket: bool) -> None:
-    if is_given("port") and not by_socket:
-        raise UserError("--port is the port of a socket: add --socket")
 
 
 def _stay(rig: Any, seconds: float | None) -> None:

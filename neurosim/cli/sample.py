@@ -38,7 +38,7 @@ _PROMPTS = {
     "it, with nothing else near, and press Enter",
     "light": "Darken the room, put the robot with its front below a lamp, facing where the lamp is "
     "when the robot backs off, with nothing else near, and press Enter",
-    "open": "Put the robot on open floor, 20 cm free all around, under the camera if there is one, "
+    "open": "Put the robot on open floor, 30 cm free all around, under the camera if there is one, "
     "and press Enter",
 }
 
@@ -129,7 +129,7 @@ def sample(
             out,
             driver,
             how,
-            _place(rig, poses),
+            _place(rig, how.kinds, seed),
             resume=resume,
             seed=seed,
             eye=eye,
@@ -139,15 +139,22 @@ def sample(
     emit({"sampling": str(out), **result}, as_json, lambda: _words(out, result))
 
 
-def _place(rig: Rig, poses: dict[str, tuple[float, float, float]]) -> Callable[[str], None]:
+def _place(rig: Rig, kinds: tuple[str, ...], seed: int) -> Callable[[str], None]:
     """Return a function that has the robot placed: by the lab, or by a person."""
+    import numpy as np
 
+    from neurosim.lab import sampling_places
     from neurosim.simulators.tables.sensor_table import radius_of
+
+    rng = np.random.default_rng([seed, 0x6B50])
 
     def by_lab(where: str) -> None:
         assert rig.place is not None
-        exact = where == "open"
-        rig.place(*poses[where], placing=(0.0, 0.0 if exact else math.radians(1)))
+        robot: Any = rig.robot
+        _, poses = sampling_places(kinds, robot.geometry.radius)
+        x, y, theta = poses[where]
+        slack = 0.0 if where == "open" else math.radians(1)
+        rig.place(x, y, theta + slack * rng.standard_normal())
 
     def by_person(where: str) -> None:
         kind, _, _ = where.partition("-")

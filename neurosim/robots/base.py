@@ -212,7 +212,7 @@ class Counters(Protocol):
 
 @runtime_checkable
 class Proximity(Sensors, Protocol):
-    """Has a ring of sensors that see what is near, its only ones.
+    """Has a ring of sensors that see what is near, ``sensor_0``, ``sensor_1``, ...
 
     Attributes:
         angles: where they look, [S] rad counter-clockwise from straight ahead.

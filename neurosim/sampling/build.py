@@ -180,5 +180,7 @@ def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
     if not path.exists():
         return None, None
     robot = files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"]
+    # Earlier samplings do not say it.
     dialect = DIALECTS.get(robot.get("dialect", ""))
-    return robot.get("full_speed"), None if dialect is None else dialect.geometry.radius
+    nominal = None if dialect is None else dialect.geometry.radius
+    return robot.get("full_speed"), robot.get("radius", nominal)

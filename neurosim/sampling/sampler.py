@@ -77,12 +77,12 @@ def sample(
         )
     if settings.light and not isinstance(robot, LightSensors):
         raise UserError("this robot does not measure ambient light: leave out --light")
-    out = Path(out)
+    out, settings = Path(out), settings.of(robot)
     levels = settings.levels(robot.full_speed)
     about = {
         "settings": {**asdict(settings), "cylinders": list(settings.cylinders)},
         "seed": seed,
-        "robot": robot.describe(),
+        "robot": {**robot.describe(), **_body(robot)},
         **({} if lab is None else {"virtual_lab": dict(lab)}),
         "motors": "counters" if eye is None else "camera",
     }
@@ -149,6 +149,11 @@ def _sample(
     }
     files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
     return result
+
+
+def _body(robot: Sampler) -> dict[str, Any]:
+    """Return the numbers of the robot that tables need, besides the samples."""
+    return {"full_speed": robot.full_speed, "radius": robot.geometry.radius}
 
 
 def _once(place: Place, where: str) -> Callable[[], None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,8 @@ from neurosim.simulators.tables.sensor_table import LIGHT, OBSTACLE, WALL, cylin
 
 #: A robot with more whole speeds of a motor than this drives a grid of them.
 MOST_SPEEDS = 101
+#: How far a robot's sensors see that does not say it (``reach``), m.
+REACH = 0.043
 
 
 @runtime_checkable
@@ -31,7 +33,8 @@ class SampleSettings(Checked):
         angles: Number of angles of a full turn in the .sample files.
         distances: Number of distances from the object.
         first: First distance, from the robot's rim to the object's surface, m.
-        step: From distance to distance, m.
+        step: From distance to distance, m; by default so that the last is as far as the sensors
+            see, for a Khepera 2 mm.
         cylinders: Radii of the round obstacles, m.
         light: Also sample a light, with the sensors of ambient light.
         light_step: From distance to distance at the light, m.
@@ -46,7 +49,7 @@ class SampleSettings(Checked):
     angles: Annotated[int, Meta(ge=4, le=3600)] = 180
     distances: Annotated[int, Meta(ge=2, le=1000)] = 20
     first: Annotated[float, Meta(ge=0, le=1)] = 0.005
-    step: Annotated[float, Meta(ge=0.0001, le=1)] = 0.002
+    step: Annotated[float, Meta(ge=0.0001, le=1)] | None = None
     cylinders: tuple[Annotated[float, Meta(ge=0.001, le=1)], ...] = (OBSTACLE,)
     light: bool = False
     light_step: Annotated[float, Meta(ge=0.0001, le=1)] = 0.02
@@ -66,8 +69,15 @@ class SampleSettings(Checked):
         """The kinds of objects to sample, in order."""
         return (WALL, *map(cylinder, self.cylinders), *(LIGHT,) * self.light)
 
+    def of(self, robot: Sampler) -> SampleSettings:
+        """Return the settings for a robot: with a step, in whole tenths of a millimetre."""
+        reach = getattr(robot, "reach", REACH) - self.first
+        step = max(round(reach / (self.distances - 1), 4), 0.0001)
+        return self if self.step is not None else replace(self, step=step)
+
     def step_at(self, kind: str) -> float:
         """Return the difference of two distances from an object of a kind, m."""
+        assert self.step is not None  # see of()
         return self.light_step if kind == LIGHT else self.step
 
     def away(self, kind: str) -> NDArray[np.float64]:

@@ -25,8 +25,8 @@ from neurosim.simulators.tables.sensor_table import LIGHT
 
 #: How far it turns, in nominal full turns: enough to see the beginning of the turn again.
 TURNS = 7 / 6
-#: Speed of the wheels, m/s.
-SLOW = 0.008
+#: Speed of the wheels, as a fraction of full speed.
+SLOW = 0.08
 #: A robot whose counters stand for so long while it should move is stuck, s.
 STUCK = 3.0
 #: Between wall and rim when the robot turns around one wheel, at least, m.
@@ -35,12 +35,12 @@ PIVOT_MARGIN = 0.01
 #: directions of both wheels then: the wall is near when the turn begins again.
 PIVOTS = {"around-left": (0, 1), "around-right": (1, 0)}
 
+#: Columns of ``sensors.csv`` before those of the sensors; the last ones are part of a turn's rows.
 _COLUMNS = (
-    "object", "repeat", "distance", "turn", "whole", "time", "seconds", "left", "right",
-    "ahead", "aside", *(f"sensor_{index}" for index in range(8)),
+    "object", "repeat", "distance", "turn", "whole", "time", "seconds",
+    "left", "right", "ahead", "aside",
 )  # fmt: skip
-#: Columns of the rows of a turn.
-_ROW = ("left", "right", "ahead", "aside", *_COLUMNS[11:])
+_ROW = _COLUMNS[7:]
 
 #: Turns by object, repeat and number of the distance; see :func:`read_turns`.
 Turns = dict[tuple[str, int, int], NDArray[np.float64]]
@@ -74,7 +74,7 @@ def sample_object(
     if path.exists():
         numbers = files.read_csv(path, {"turn": files.integer}, drop_torn_line=True)["turn"]
         last = int(numbers.max()) if len(numbers) else 0
-    with files.LineLog(path, _COLUMNS) as log:
+    with files.LineLog(path, (*_COLUMNS, *_sensors(len(robot.angles)))) as log:
         for turn, distance in enumerate(left_to_do, last + 1):
             away = float(settings.away(name)[distance])
             whereabouts.go(-1, -1, partial(_further, whereabouts, away))
@@ -96,14 +96,21 @@ def read_turns(folder: str | Path) -> Turns:
     """
     parsers: dict[str, Any] = {"object": str, "whole": files.flag}
     parsers |= dict.fromkeys(("repeat", "distance", "turn"), files.integer)
-    parsers |= dict.fromkeys(_ROW, files.number)
-    table = files.read_csv(Path(folder) / "sensors.csv", parsers, drop_torn_line=True)
+    path = Path(folder) / "sensors.csv"
+    header = files.read_text(path, "a CSV file in UTF-8").partition("\n")[0]
+    row = [*_ROW, *_sensors(header.count("sensor_"))]
+    parsers |= dict.fromkeys(row, files.number)
+    table = files.read_csv(path, parsers, drop_torn_line=True)
     turns = {}
     for _, turn in table.groupby("turn"):
         last = turn.iloc[-1]
         if last["whole"]:
-            turns[last["object"], last["repeat"], last["distance"]] = turn[list(_ROW)].to_numpy()
+            turns[last["object"], last["repeat"], last["distance"]] = turn[row].to_numpy()
     return turns
+
+
+def _sensors(count: int) -> tuple[str, ...]:
+    return tuple(f"sensor_{index}" for index in range(count))
 
 
 def reading_times(folder: str | Path) -> NDArray[np.float64]:
@@ -180,6 +187,7 @@ def _turn(
             begin = robot.clock.now()
             readings = read()
             now = robot.clock.now()
+            robot.clock.sleep_until(begin + robot.scan)  # until then they read the same
             turned = sense * whereabouts.turned
             done = turned <= 0 if back else turned >= full
             ahead, aside, _ = map(float, whereabouts.pose)
@@ -189,5 +197,5 @@ def _turn(
 
 
 def pace_of(robot: Sampler, speed: float) -> int:
-    """Return the whole speed of the robot's that is nearest to ``speed`` (m/s), 1 or more."""
-    return max(round(speed / robot.speed_unit), 1)
+    """Return the whole speed of the robot's that is nearest to ``speed`` of full, 1 or more."""
+    return max(round(speed * robot.full_speed), 1)

@@ -10,12 +10,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base.declared import Baud, Seed, checks
+from neurosim.base.declared import Baud, Pose, Seed, checks
 from neurosim.base.errors import LinkLost, UserError
 from neurosim.base.interrupts import not_suspended
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import SavedController
-from neurosim.lab import VirtualKheperaRig
+from neurosim.lab import VirtualKheperaRig, VirtualThymioRig
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
 from neurosim.recording.commands import Command, Observation
@@ -32,6 +33,8 @@ WANDER = 2.0
 REST = 0.3
 #: Paths are compared for so many seconds, from so many starts.
 SECONDS, STARTS = 10.0, 2
+#: A virtual robot first stands with so much room around it, m.
+FREE = 0.0125
 #: Something is near, by a sensor that looks forward: the robot turns before it wanders on.
 NEAR = 0.3
 
@@ -170,7 +173,7 @@ class OnFloor:
                 command = driver.react(Observation(number * step, None, seen))
             clock.sleep_until(time + self.hold)
             drive_for(self.robot, command.numbers, command.duration)
-            readings.append(list(seen.values()))
+            readings.append([seen[name] for name in names])
             commands.append([*command.numbers, command.duration])
             # A step that took too long shifts those after it rather than shortening them.
             time = max(time + command.duration, clock.now())
@@ -262,26 +265,64 @@ def virtual_khepera(
     Raises:
         UserError: as :func:`on_floor`.
     """
-    evaluator, baud = Evaluator(simulator, task, controller), baud or dialect_named("khepera").baud
+    baud = baud or dialect_named("khepera").baud
     _check_line(simulator, baud)
-    simulator = evaluator.simulator
+
+    def rig(place: Place, start: Pose) -> VirtualKheperaRig:
+        return VirtualKheperaRig(lab_seed, noise_seed=seed, place=place, start=start, baud=baud)
+
+    with _in_the_lab(rig, Evaluator(simulator, task, controller), seed) as trials:
+        yield trials
+
+
+@contextmanager
+@checks
+def virtual_thymio(
+    controller: Any, task: Any, simulator: Any, lab_seed: Seed = 0, seed: Seed = 0
+) -> Iterator[OnFloor]:
+    """Give the trials on a Thymio of the virtual lab, in the simulator's place.
+
+    Args:
+        controller, task, simulator: as of :func:`on_floor`.
+        lab_seed: Number of the virtual lab's robot.
+        seed: Of the lab's noise.
+
+    Raises:
+        UserError: as :func:`on_floor`.
+    """
+
+    def rig(place: Place, start: Pose) -> VirtualThymioRig:
+        return VirtualThymioRig(lab_seed, noise_seed=seed, around=place, start=start, camera=False)
+
+    with _in_the_lab(rig, Evaluator(simulator, task, controller), seed) as trials:
+        yield trials
+
+
+@contextmanager
+def _in_the_lab(
+    make: Callable[[Place, Pose], Any], evaluator: Evaluator, seed: int
+) -> Iterator[OnFloor]:
+    """Give the trials on a virtual robot, in the simulator's place.
+
+    Args:
+        make: makes the robot's rig, of the place and of where it stands at first.
+        evaluator: the simulator, task and controller.
+        seed: of where it stands, and wanders.
+    """
+    simulator: Any = evaluator.simulator
     if not isinstance(simulator, InPlace):
         raise UserError(
-            f"the virtual Khepera drives in the simulator's place, and a simulator of the kind "
+            f"the virtual robot drives in the simulator's place, and a simulator of the kind "
             f"{simulator.kind} has none: name another reality (--reality)"
         )
-    start = tuple(simulator.place.free_poses(1, 0.03, np.random.default_rng(seed))[0])
-    with (
-        VirtualKheperaRig(
-            lab_seed, noise_seed=seed, place=simulator.place, start=start, baud=baud
-        ) as rig,
-        rig.robot as robot,
-    ):
+    place, room = simulator.place, simulator.radius + FREE
+    start = tuple(place.free_poses(1, room, np.random.default_rng(seed))[0].tolist())
+    with make(place, start) as rig, rig.robot as robot:
         yield OnFloor(
             robot,
             evaluator,
             place=lambda pose: rig.lab.place(*pose),
-            pose=lambda _: lambda: rig.lab.pose,
+            pose=lambda _: lambda: rig.lab.body.pose,
             about={**about_robot(robot), "virtual_lab": rig.describe()},
             seed=seed,
         )

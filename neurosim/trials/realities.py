@@ -24,6 +24,7 @@ REALITIES = Registry(
         "virtual-walker": "neurosim.lab.walker:VirtualWalker",
         "virtual-nxt": "neurosim.trials.filmed:VirtualNxt",
         "virtual-khepera": "neurosim.trials.floor:virtual_khepera",
+        "virtual-thymio": "neurosim.trials.floor:virtual_thymio",
         "by-hand": "neurosim.trials.by_hand:ByHand",
     },
 )

@@ -68,11 +68,11 @@ class Setup(Checked):
     real_time: bool = False
 
 
-def place_of(robot: str, task: Task, simulator: Simulator | None) -> Place | None:
-    """Return the place for a virtual robot: its task's, or, for the Khepera, its simulator's."""
+def place_of(task: Task, simulator: Simulator | None) -> Place | None:
+    """Return the place for a virtual robot: its task's, or that of its simulator, if it has one."""
     from neurosim.simulators.base import InPlace
 
-    if task.place is None and robot == "virtual-khepera" and isinstance(simulator, InPlace):
+    if task.place is None and isinstance(simulator, InPlace):
         return simulator.place
     return task.place
 

@@ -177,7 +177,8 @@ function tell() {
   text("fps", state.fps.toFixed(1));
   element("tag").hidden = !state.tag;
   element("how").hidden = element("colours").hidden = Boolean(state.tag);
-  if (state.tag) text("tag", `The robot carries ${state.tag}.`);
+  const others = state.others.length ? ` Other tags in view are ignored: ${state.others.join(", ")}.` : "";
+  if (state.tag) text("tag", `The robot carries ${state.tag}.${others}`);
   for (const which of ["front", "rear"]) {
     const colour = state.colours[which];
     element(`${which}-swatch`).style.background = colour.swatch;

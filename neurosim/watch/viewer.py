@@ -192,6 +192,7 @@ class Viewer:
                 which: self._describe(which, place) for place, which in enumerate(("front", "rear"))
             },
             "tag": str(self._what) if isinstance(self._what, Tag) else None,
+            "others": sorted(seen.others) if seen is not None else [],
             "apart": isinstance(self._what, Tag) or distinguishable(*self._what),
             "corners": self.corners,
             "board": {**self._board, "height": self._height},

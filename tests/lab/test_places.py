@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import Board
@@ -15,6 +16,7 @@ from neurosim.lab import CameraParams, LabParams, VirtualLinesRig, VirtualThymio
 from neurosim.lab.camera import scene
 from neurosim.lab.nxt.body import ground_light
 from neurosim.lab.nxt.world import SIZE, Lab
+from neurosim.robots.thymio.driver import Thymio
 from tracking.datasets.recordings import Recording
 
 IDEAL = LabParams.ideal()
@@ -55,7 +57,7 @@ def test_a_robot_slides_along_a_wall_and_round_an_obstacle():
 def test_nobody_is_put_into_a_wall():
     with pytest.raises(UserError, match="stand in a wall or an obstacle"):
         Lab(0, camera=None, around=Place(walls=(WALL,)), start=(0.45, 0.0, 0.0))
-    with pytest.raises(ValueError, match="outside of the lab's room"):
+    with pytest.raises(UserError, match="outside of the lab's room"):
         Lab(0, camera=None, around=SMALL, start=(2.0, 0.0, 0.0))
 
 
@@ -112,6 +114,7 @@ def test_other_robots_stand_in_it_too():
     with VirtualThymioRig(1, camera=False, around=line) as rig, rig.robot as robot:
         dark = robot.read_sensors()
         rig.lab.place(0.0, 0.5, 0.0)
+        robot.clock.sleep_until(robot.clock.now() + 0.1)  # until it reads its sensors again
         light = robot.read_sensors()
     assert all(dark[name] < 0.6 * light[name] for name in ("line_left", "line_right"))
 
@@ -136,3 +139,34 @@ def test_a_recording_in_a_place_keeps_it_and_goes_by_its_board(tmp_path):
     assert (np.abs(truth[:, 1:3]).max(axis=0) < [0.8, 0.6]).all()
     wrong = call(*words[:1], tmp_path / "s", *words[2:], "--place", "moon")
     assert "moon: no such file of a place" in str(wrong.exception)
+
+
+@pytest.mark.parametrize("kind", ["nxt", "lines", "thymio", "ros"])
+def test_the_command_line_keeps_a_robot_in_a_place(tmp_path, monkeypatch, kind):
+    place, labs = Place.rectangle(1.0, 0.8), []
+    place.write(tmp_path / "place.json")
+    monkeypatch.setattr("neurosim.cli.lab._stay", lambda rig, seconds: labs.append(rig.lab))
+    words = ["lab", kind, "--place", str(tmp_path / "place.json"), "--start", "20", "10", "90"]
+    done = CliRunner().invoke(cli, [*words, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert labs[0].around == place
+    assert labs[0].body.pose == pytest.approx([0.2, 0.1, math.pi / 2], abs=0.03)
+    for x, why in (("45", "in a wall or an obstacle"), ("500", "outside of the lab's room")):
+        words[5] = x
+        with pytest.raises(UserError, match=why):
+            CliRunner().invoke(cli, words, catch_exceptions=False)
+
+
+def test_other_programs_read_what_stands_around_a_thymio(tmp_path, monkeypatch):
+    Place.rectangle(1.0, 0.8).write(tmp_path / "place.json")
+    seen = []
+
+    def look(rig, seconds):
+        with Thymio(rig.address, timeout=PATIENCE) as robot:
+            wait_until(lambda: seen.append(robot.activations()) or seen[-1][2] > 0, "a scan")
+
+    monkeypatch.setattr("neurosim.cli.lab._stay", look)
+    words = ["lab", "thymio", "--place", str(tmp_path / "place.json"), "--start", "38", "0", "0"]
+    assert CliRunner().invoke(cli, words, catch_exceptions=False).exit_code == 0
+    assert seen[-1][2] == pytest.approx(4505 / (1 + 4.05**2 / 73) / 4500, rel=0.4)
+    assert seen[-1][5:].max() < 0.01

@@ -4,9 +4,11 @@ import shutil
 
 import numpy as np
 import pytest
+import tracking_scene as scene
 from click.testing import CliRunner
 
 from neurosim.base.errors import UserError
+from neurosim.base.files import number, read_csv
 from neurosim.cli.track import track as command
 from neurosim.lab import read_truth
 from neurosim.lab.khepera.camera import SCALE
@@ -17,17 +19,22 @@ from neurosim.trials.rig import Setup, open_rig
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording, write_markers
 from tracking.markers.sought import sought, tracker_of
-from tracking.markers.tags import KINDS
+from tracking.markers.tags import KINDS, Tag
 from tracking.poses import marker_geometry, marker_poses
+from tracking.track import track_video
 
 DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command((-50, -50), 0.5)])
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tag")
+def recorded(folder, another=None):
+    """Record tag 5; return the recording and what was said, and show ``another`` robot, too."""
     markers, messages = marker_settings("apriltag", "virtual", 5), []
     with open_rig("virtual", {}, Setup(markers=markers)) as rig:
+        if another is not None:
+            start = rig.camera.start
+            rig.camera.start = lambda take: start(
+                lambda time, frame: take(time, another(time, frame.copy()))
+            )
         optics = rig.camera.optics
         CameraModel(
             rig.camera.size, optics.matrix, optics.distortion, optics.rotation, optics.translation
@@ -36,6 +43,12 @@ def kept(tmp_path_factory):
             folder / "r", rig, DRIVES, RecordSettings(3, markers=markers),
             calibration=folder / "calibration.json", say=messages.append,
         )  # fmt: skip
+    return made, messages
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    made, messages = recorded(tmp_path_factory.mktemp("tag"))
     assert messages == []
     return made
 
@@ -58,6 +71,30 @@ def test_its_poses_are_where_it_was(kept):
     # The lamp beside it was seen to flash.
     assert session["clock"]["flashes"]
     assert session["clock"]["residual"] < 0.012
+
+
+@pytest.mark.slow
+def test_of_several_robots_the_right_one_is_followed(kept, tmp_path):
+    """Another one with a tag of its own drives to and fro across the picture, close by."""
+
+    def at(time):
+        return np.array([320.0 + 200.0 * np.sin(1.5 * time), 190.0]), 0.4 * time
+
+    def another(time, frame):
+        scene.paint_tag(frame, Tag(number=9), *at(time), 22.0)
+        return frame
+
+    made, messages = recorded(tmp_path, another)
+    assert messages == ["other tags are in view, and ignored: 9"]
+    off = misses(made)
+    assert np.sqrt((off[:, :2] ** 2).mean()) < 2e-3
+    assert np.degrees(np.sqrt((off[:, 2] ** 2).mean())) < 0.6
+    # The same video has the way of the other robot, too.
+    (video,) = made.meta["videos"]
+    track_video(made.path / video, Tag(number=9), out=tmp_path / "other")
+    rows = read_csv(tmp_path / "other" / "poses.csv", dict.fromkeys("uv", number))
+    assert rows["v"].to_numpy() == pytest.approx(190.0, abs=1.0)
+    assert np.ptp(rows["u"]) > 150.0
 
 
 @pytest.mark.slow

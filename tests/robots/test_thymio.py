@@ -14,15 +14,25 @@ from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.base.place import THICKNESS, Place
 from neurosim.lab import VirtualThymioRig
 from neurosim.lab.thymio.firmware import EVENTS, NODE
-from neurosim.robots import Counters, Lamp, Sensors, open_robot
+from neurosim.lab.thymio.rig import ThymioBody
+from neurosim.robots import Counters, Lamp, open_robot
 from neurosim.robots.base import SelfStopping
 from neurosim.robots.thymio import aseba
-from neurosim.robots.thymio.driver import LATE, LONGEST, Thymio
+from neurosim.robots.thymio.driver import LATE, LONGEST, PROXIMITY, Thymio
+from neurosim.sampling.settings import Sampler
 
 
 @contextmanager
 def a_rig(**options):
     with VirtualThymioRig(1, **{"camera": False, **options}) as rig:
+        yield rig
+
+
+@contextmanager
+def a_usual_rig(**options):
+    """A Thymio whose sensors are as they are to be."""
+    with a_rig(**options) as rig:
+        rig.lab.body.sensors, rig.lab.body.brightness = PROXIMITY, np.ones(7)
         yield rig
 
 
@@ -44,34 +54,80 @@ def test_messages_by_hand():
 
 
 def test_its_sensors_see_the_walls_and_obstacles_of_a_place():
-    """By hand: 4505 / (1 + (d / 8.54 cm)^2) of 4500 at a distance d from the sensor."""
-    wall = (0.15 + THICKNESS / 2, -0.2, 0.15 + THICKNESS / 2, 0.2)
-    place = Place(walls=(wall,), obstacles=((-0.18, 0.03, 0.05),))
-    with VirtualThymioRig(1, camera=False, around=place) as rig, rig.robot as robot:
+    """By hand, as in Enki: three rays 15 degrees apart, of which the middle one counts twice less.
+
+    A ray answers 4505 (73 - 0.03^2) / (d^2 - 0.06 d + 73) at d cm, and nothing beyond 14 cm.
+    """
+    wall = (0.15 + THICKNESS / 2, -0.3, 0.15 + THICKNESS / 2, 0.3)
+    place = Place(walls=(wall,), obstacles=((-0.18, 0.0295, 0.05),))
+    with a_usual_rig(around=place) as rig, rig.robot as robot:
         rig.lab.body.place(0.0, 0.0, 0.0)  # exactly
-        read = [robot.read_sensors()[f"sensor_{number}"] for number in range(7)]
+        wait(rig, 0.1)
+        read = robot.activations()
 
     def law(far):
-        return 4505 / (1 + (far / 0.0854) ** 2) / 4500
+        return 4505 * (73 - 0.0009) / (far**2 - 0.06 * far + 73) * (far <= 14) / 4500
 
-    ahead, slanted = law(0.15 - 0.0795), law((0.15 - 0.075) / math.cos(0.34907))
-    outer = law((0.15 - 0.062) / math.cos(0.69813))
+    def reading(*far):
+        return sum(map(law, far)) - 2 * law(far[1] / math.cos(math.radians(15)))
+
+    def before_the_wall(ahead, degrees):
+        return reading(*(ahead / math.cos(math.radians(degrees + turn)) for turn in (-15, 0, 15)))
+
+    ahead, slanted = before_the_wall(15 - 7.95, 0), before_the_wall(15 - 7.5, 20)
+    assert ahead == pytest.approx(law(7.05))
+    outer = before_the_wall(15 - 6.2, 40)
     assert read[:5] == pytest.approx([outer, slanted, ahead, slanted, outer], abs=0.003)
-    # Behind on the left a cylinder of which the sensor sees the nearest point but 0.5 mm.
-    assert read[5] == pytest.approx(law(0.18 - 0.05 - 0.0295), abs=0.003)
-    assert read[6] == 0.0
+    # Behind on the left a cylinder of 5 cm, 15.05 cm behind the sensor. That on the right, 5.9 cm
+    # beside it, sees it with one ray of three, 16.166 cm from its middle and 6.396 degrees off it.
+    off = 15.05 * math.sin(math.radians(15))
+    aside = 15.05 * math.cos(math.radians(15)) - math.sqrt(25 - off**2)
+    assert read[5] == pytest.approx(reading(aside, 10.05, aside), abs=0.003)
+    turned = math.radians(6.3936)
+    once = 16.165 * math.cos(turned) - math.sqrt(25 - (16.165 * math.sin(turned)) ** 2)
+    assert read[6] == pytest.approx(law(once), abs=0.003)
+
+
+def test_robots_differ_in_their_sensors_and_wheels():
+    bodies = [ThymioBody(seed, 0) for seed in (1, 2, 1)]
+    for name in ("sensors", "brightness", "wheels"):
+        first, other, again = (getattr(body, name) for body in bodies)
+        assert (first == again).all()
+        assert 0.001 < np.abs(first - other).max() < 0.5
+
+
+def test_its_sensors_are_read_ten_times_a_second_by_the_robot():
+    place = Place.rectangle(1.0, 1.0)
+    with a_usual_rig(around=place) as rig, rig.robot as robot:
+        rig.lab.place(0.38, 0.0, 0.0)
+        wait(rig, 0.1)
+        before = robot.activations()
+        rig.lab.place(0.0, 0.0, 0.0)
+        wait(rig, 0.005)
+        assert (robot.activations() == before).all()
+        wait(rig, 0.1)
+        assert before[2] > 0.5 > 0.01 > robot.activations()[2]
+
+
+def test_it_touches_as_a_disc_of_its_own_size():
+    with a_rig(around=Place.rectangle(1.0, 1.0)) as rig, rig.robot as robot:
+        robot.drive_for((100, 100), 4.0)
+        wait(rig, 4.0)
+        assert rig.lab.body.pose[0] == pytest.approx(0.5 - robot.geometry.radius, abs=1e-6)
 
 
 def test_the_driver_drives_and_reads_it():
     with a_rig() as rig, rig.robot as robot:
-        for kind in (Counters, Lamp, Sensors, SelfStopping):
+        for kind in (Counters, Lamp, Sampler, SelfStopping):
             assert isinstance(robot, kind)
         assert robot.sensor_names == (*(f"sensor_{n}" for n in range(7)), "line_left", "line_right")
         read = robot.read_sensors()
         assert all(abs(read[name] - 0.55) < 0.03 for name in ("line_left", "line_right"))
         rig.lab.place(1.38 - 0.12 - 0.072, 0.0, 0.0)
+        wait(rig, 0.1)
         assert max(robot.read_sensors()[name] for name in ("line_left", "line_right")) < 0.3
         rig.lab.body.proximity = lambda: [0, 450, 4500, 5000, 0, 0, 2250]
+        wait(rig, 0.1)
         assert [*robot.read_sensors().values()][:7] == [0.0, 0.1, 1.0, 1.0, 0.0, 0.0, 0.5]
         rig.lab.place(0.0, 0.0, 0.0)
         robot.lamp(True)

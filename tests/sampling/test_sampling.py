@@ -12,13 +12,23 @@ from patience import PATIENCE
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, RobotError, UserError
+from neurosim.base.place import Place
 from neurosim.cli.main import cli
-from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
+from neurosim.lab import KheperaParams, VirtualKheperaRig, VirtualThymioRig, sampling_places
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.params import WHEEL_BASE, WHITE
 from neurosim.robots.khepera.dialects import DIALECTS, dialect_named
 from neurosim.robots.khepera.driver import Khepera
-from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
+from neurosim.robots.thymio.driver import BODY, NEAR
+from neurosim.sampling import (
+    FORMAT,
+    VERSION,
+    SampleSettings,
+    build_tables,
+    full_turn,
+    read_turns,
+    sample,
+)
 from neurosim.sampling.resampling import write_samples
 from neurosim.sampling.turns import PIVOTS
 from neurosim.simulators.tables.motor_table import MotorTable
@@ -27,6 +37,7 @@ from neurosim.simulators.tables.samples import Samples
 
 #: A faster line would only have the robot read, and write down, more on its way.
 BAUD = 9600
+ROOMY = Place.rectangle(2.0, 1.5, ((0.3, 0.2, 0.0275),))
 SETTINGS = SampleSettings(angles=36, distances=2, step=0.01, grid=3, held_out=4, duration=0.5)
 
 
@@ -194,6 +205,52 @@ def test_interrupted_sampling_goes_on(tmp_path, whole):
     again, asked, _, _ = sampled(out, resume=True)
     assert asked == []
     assert again == result
+
+
+@pytest.mark.slow
+def test_a_thymio_samples_itself_too(tmp_path):
+    """Seven sensors, of which five look ahead and two behind, on a body three times as large."""
+    out, radius = tmp_path / "out", BODY.radius
+    settings = SampleSettings(angles=36, distances=2, grid=3, held_out=0, duration=0.5)
+    place, _ = sampling_places()
+    with VirtualThymioRig(2, camera=False, around=place, start=(-2.0, 1.5, 0.0)) as rig:
+
+        def put(where):
+            rig.lab.place(*sampling_places(radius=radius)[1][where])
+
+        with rig.robot as robot:
+            result = sample(out, robot, settings, put, progress=False, lab=rig.describe())
+        body = rig.lab.body
+        body._noise = type("Silent", (), {"standard_normal": staticmethod(np.zeros)})
+        for name, y in (("wall", 0.0), ("cylinder", 3.0)):
+            computed = Samples.read(out / f"{name}.sample")
+            assert computed.activations.shape == (2, 36, 7)
+            assert (computed.first_distance, computed.distance_step) == (0.005, 0.135)
+            truth = np.empty_like(computed.activations)
+            for distance, away in enumerate((0.005, 0.14)):
+                for angle in range(36):
+                    body.place(-radius - away, y, math.radians(10 * angle))
+                    truth[distance, angle] = np.array(body.proximity()) / NEAR
+            off = np.abs(computed.activations - truth)
+            assert np.median(off) < 0.005
+            assert off.mean() < 0.03
+            assert truth[0, 0, 2] > 0.8 > truth[0, 18, 5] > 0.5 > 0.01 > truth[0, 18, 2]
+    wheels = body.wheels
+    # What the counters see of a turn: the distance in the nominal way of the wheels.
+    assert result["wheel_base"] == pytest.approx(BODY.wheel_base / wheels.mean(), rel=0.05)
+    # They are 3 % off their mean; what slips in a turn changes by 0.8 % from turn to turn.
+    assert result["wheel_sizes"] == pytest.approx(wheels / wheels.mean(), abs=0.012)
+    computed = Reaction.from_json(result["reaction"])
+    assert 0.05 < computed.answer < 0.08  # half of the time between two scans, and the line
+    # A folder of tables knows the robot's size, and that its speeds are whole ones of 500.
+    paths = [out / "wall.sample", out / "cylinder.sample"]
+    simulator = build_tables(paths, out / "motors.csv", place=ROOMY)
+    assert (simulator.radius, simulator.meta["body"]["radius"]) == (radius, "sampled")
+    assert simulator.motors.resolution == 0.2
+    assert simulator.reading_names == tuple(f"sensor_{number}" for number in range(7))
+    looks = np.degrees(simulator.bearings)
+    assert looks[:5] == pytest.approx([40, 20, 0, -20, -40], abs=6)
+    assert np.abs(looks[5:]) == pytest.approx(180, abs=15)
 
 
 def test_full_turn_is_where_the_sensors_repeat():

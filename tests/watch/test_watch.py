@@ -18,6 +18,7 @@ from neurosim.base.errors import UserError
 from neurosim.cli.main import main
 from tracking.camera.cameras import OpenCVCamera, VideoCamera
 from tracking.camera.video import Video
+from tracking.markers.tags import Tag
 
 
 @pytest.fixture
@@ -27,6 +28,19 @@ def video(tmp_path):
     for turn in np.linspace(0, 1, 12):
         image = scene.background()
         scene.robot(image, np.array([300.0, 200.0]), turn)
+        writer.write(scene.finish(image))
+    writer.release()
+    return path
+
+
+@pytest.fixture
+def two_tags(tmp_path):
+    path = tmp_path / "tags.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, scene.SIZE)
+    for number in range(12):
+        image = scene.background()
+        for tag, x in ((3, 200.0 + number), (8, 400.0)):
+            scene.paint_tag(image, Tag(number=tag), np.array([x, 200.0]), 0.3, 40.0)
         writer.write(scene.finish(image))
     writer.release()
     return path
@@ -56,6 +70,18 @@ def watching(*words, cwd):
 def state_of(url, after=0):
     with urlopen(f"{url}picture?after={after}", timeout=PATIENCE) as reply:
         return json.loads(reply.headers["Neurosim-State"])
+
+
+@pytest.mark.slow
+def test_of_several_tags_one_is_shown_and_the_others_are_named(two_tags, tmp_path):
+    words = ["--camera", two_tags.name, "--markers", "apriltag", "--tag", "8"]
+    with watching(*words, cwd=tmp_path) as (_, url):
+        states = [state_of(url)]
+        wait_until(lambda: states.append(state_of(url)) or states[-1]["others"], "a picture")
+        state = states[-1]
+        assert state["tag"] == "tag 8 of APRILTAG_36h11"
+        assert state["others"] == [3]
+        assert (np.array(state["front"]) + state["rear"]) / 2 == pytest.approx([400, 200], abs=1)
 
 
 @pytest.mark.slow

@@ -191,7 +191,6 @@ class KheperaLab(LabTime):
         super().__init__()
         self.camera: KheperaCamera | None = None
         self.body = KheperaBody(params, place, seed, start)
-        self._rng = np.random.default_rng([seed, 0x6B50])
         self.place(*start)
 
     @property
@@ -205,21 +204,8 @@ class KheperaLab(LabTime):
         with self.lock:
             return self.body.pose
 
-    def place(
-        self,
-        x: float,
-        y: float,
-        theta: float,
-        *,
-        placing: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        """Put the robot down at a pose (m, m, rad), as exactly as a person does.
-
-        Args:
-            x: where.
-            y: where.
-            theta: where it looks.
-            placing: standard deviations of the place and of the heading (m, rad).
+    def place(self, x: float, y: float, theta: float) -> None:
+        """Put the robot down at a pose (m, m, rad).
 
         Raises:
             UserError: if it would stand in a wall or an obstacle there.
@@ -230,13 +216,7 @@ class KheperaLab(LabTime):
                     f"the robot cannot be placed at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it "
                     "would stand in a wall or an obstacle"
                 )
-            for _ in range(100):
-                noise = self._rng.standard_normal(3) * (placing[0], placing[0], placing[1])
-                if self.body.depth(x + noise[0], y + noise[1]) <= 0.0:
-                    break
-            else:
-                noise = np.zeros(3)
-            self.body.place(x + noise[0], y + noise[1], theta + noise[2])
+            self.body.place(x, y, theta)
 
     def _advance(self, time: float) -> None:
         # Pictures that fall due on the way are delivered to whoever started the camera.

@@ -26,6 +26,7 @@ BITS = 11
 
 def sampling_places(
     kinds: Sequence[str] = OBJECTS,
+    radius: float = RADIUS,
 ) -> tuple[Place, dict[str, tuple[float, float, float]]]:
     """Return a lab to sample in, and where the robot is placed there (m, m, rad).
 
@@ -34,8 +35,9 @@ def sampling_places(
 
     Args:
         kinds: names of the kinds, see :mod:`neurosim.simulators.tables.sensor_table`.
+        radius: of the robot, m.
     """
-    touching, middle = -RADIUS - 0.0002, THICKNESS / 2
+    touching, middle = -radius - 0.0002, THICKNESS / 2
     poses = {WALL: (touching, 0.0, 0.0), "open": (-2.0, 1.5, 0.0)}
     obstacles, lights = [], []
     for kind in kinds:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from neurosim.base.errors import UserError
 from neurosim.base.files import number, open_own, read_csv
 from neurosim.base.place import Place
 from neurosim.lab.camera.camera import RoofCamera
@@ -18,7 +19,8 @@ from neurosim.lab.contact import deepest
 from neurosim.lab.nxt.body import NxtBody, Wiring
 from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
 
-#: Walls and obstacles meet a disc of this radius around the robot's middle, m, so often, s.
+#: Walls and obstacles meet a disc of this radius around the middle of a robot that has no
+#: ``radius`` of its own, m, so often, s.
 SIZE, CONTACT = 0.12, 0.01
 _TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
 
@@ -180,6 +182,7 @@ class Lab(LabTime):
         self.params = LabParams.sampled(seed) if params is None else params
         self.body: Any = body or NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, around)
         self.around = around
+        self._size: float = getattr(self.body, "radius", SIZE)
         self.place(*start)
         self.camera = (
             None if camera is None else RoofCamera(camera, seed, lambda: self.time, around)
@@ -197,15 +200,19 @@ class Lab(LabTime):
         """Put the robot down at a pose (m, m, rad, board frame).
 
         Raises:
-            ValueError: if that is not within the room.
-            UserError: if it would stand in a wall or an obstacle.
+            UserError: if that is beyond the room, and beyond all walls and obstacles, or it would
+                stand in one.
         """
-        room = self.params.room
         board = self.around.board or BOARD
-        if not (abs(x) <= board.length / 2 + room and abs(y) <= board.width / 2 + room):
-            raise ValueError(f"({x}, {y}) m is outside of the lab's room")
+        things = np.concatenate([self.around.surfaces.reshape(-1, 2), self.around.cylinders[:, :2]])
+        room = np.array([board.length, board.width]) / 2 + self.params.room
+        if not (np.abs([x, y]) <= np.maximum(room, np.abs(things).max(axis=0, initial=0.0))).all():
+            raise UserError(
+                f"the robot cannot start at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it is outside "
+                "of the lab's room"
+            )
         if self.around.solid:
-            self.around.check_start((x, y, theta), SIZE)
+            self.around.check_start((x, y, theta), self._size)
         with self.lock:
             self.body.place(x, y, theta)
 
@@ -241,7 +248,7 @@ class Lab(LabTime):
             self.body.advance(moment)
             for _ in range(4):
                 x, y, _ = self.body.pose
-                depth, to_x, to_y = deepest(x, y, SIZE, walls, cylinders)
+                depth, to_x, to_y = deepest(x, y, self._size, walls, cylinders)
                 if depth <= 0.0:
                     break
                 self.body.shove(depth * to_x, depth * to_y)

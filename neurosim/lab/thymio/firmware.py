@@ -27,7 +27,7 @@ from neurosim.robots.thymio.aseba import (
     VARIABLES,
     encode,
 )
-from neurosim.robots.thymio.driver import VIRTUAL
+from neurosim.robots.thymio.driver import SCAN, VIRTUAL
 
 #: The robot's number, its firmware's version, and its kind.
 NODE, VERSION, PRODUCT = 51, 14, 8
@@ -112,7 +112,8 @@ class ThymioFirmware:
             for name, words in (("_id", [NODE]), ("_fwversion", [VERSION, VIRTUAL]),
                                 ("_productId", [PRODUCT])):  # fmt: skip
                 self._put(name, words)
-            self._light = (0, 0, 0)
+            self._light, self._ticks = (0, 0, 0), 0
+            self._scan()
             self.hardware.drive(0, 0)
             self.hardware.lamp(False)
 
@@ -145,9 +146,16 @@ class ThymioFirmware:
         left, right = self.hardware.speeds()
         self._put("motor.left.speed", [left])
         self._put("motor.right.speed", [right])
+        self._ticks += 1
+        if self._ticks % round(SCAN / TICK) == 0:
+            self._scan()
         if self._runs:
             self._at_event(FIRST_EVENT - EVENTS.index("motor"))
         self._act()
+
+    def _scan(self) -> None:
+        self._put("prox.horizontal", self.hardware.proximity())
+        self._put("prox.ground.delta", self.hardware.ground())
 
     def _act(self) -> None:
         """Let the body do what the memory says."""
@@ -170,8 +178,6 @@ class ThymioFirmware:
             self.memory[rest[0] : rest[0] + len(rest) - 1] = [_signed(word) for word in rest[1:]]
             self._act()
         elif type_ == GET_VARIABLES and len(rest) == 2 and sum(rest) <= self._size:
-            self._put("prox.horizontal", self.hardware.proximity())
-            self._put("prox.ground.delta", self.hardware.ground())
             values = self.memory[rest[0] : rest[0] + rest[1]]
             return encode(VARIABLES, [rest[0], *values], NODE)
         return b""

@@ -6,6 +6,7 @@ import math
 from typing import Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.place import Place
@@ -15,19 +16,23 @@ from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.nxt.body import ground_light
 from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.lab.thymio.firmware import ThymioFirmware
-from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, Thymio
+from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, PROXIMITY, REACH, Thymio
 
 #: Time of a byte, s: an answer takes a few milliseconds, as one over USB does.
 BYTE = 10 / 115_200
-#: The seven proximity sensors: m ahead of the axle, to the left, and rad where they look; and the
-#: law of what one reads, m / (1 + (d / w)^2) at a distance d up to the greatest (m), with its noise
-#: (standard deviation): as in Enki, the simulator of the robot's makers (Thymio2.cpp).
-PROXIMITY = np.array([
-    (0.062, 0.0485, 0.69813), (0.075, 0.0255, 0.34907), (0.0795, 0.0, 0.0),
-    (0.075, -0.0255, -0.34907), (0.062, -0.0485, -0.69813),
-    (-0.0295, 0.0295, math.pi), (-0.0295, -0.0295, math.pi),
-])  # fmt: skip
-MOST, WIDTH, REACH, FLICKER = 4505.0, 0.0854, 0.14, 2.87
+#: What one ray of a proximity sensor contributes, m (c - x0^2) / (d^2 - 2 x0 d + c) at a distance d
+#: up to :data:`REACH` (m; x0 in m, c in m^2), and the noise of a reading (standard deviation): as
+#: in Enki, the simulator of the robot's makers (Thymio2.cpp, IRSensor.cpp).
+MOST, NEAREST, WIDTH, FLICKER = 4505.0, 0.0003, 0.0073, 2.87
+#: A sensor has three rays, so far apart (rad). Before a surface across the middle one its reading
+#: is that ray's contribution alone.
+APART = math.radians(15.0)
+#: From robot to robot: where the sensors look (rad), and how bright they are (a fraction), as
+#: standard deviations.
+CROOKED, UNEVEN = math.radians(2.0), 0.1
+#: A wheel turns faster than it is measured to, by this fraction (standard deviation, from robot to
+#: robot), and not at all where it is to be slower than this, m/s.
+UNEQUAL, DEAD = 0.02, 0.004
 #: Radius of what a ground sensor sees, m, and the standard deviation of its noise, of 1000.
 SPOT, NOISE = 0.008, 5.0
 
@@ -40,11 +45,25 @@ class ThymioBody(PlanarBody):
     Args:
         robot_seed: which robot: the same number is the same one.
         seed: of its slip and noise.
+
+    Attributes:
+        radius: of the disc that meets walls and obstacles, m.
+        sensors: [7, 3] where its proximity sensors are and look, m, m, rad.
+        brightness: [7] of these, over that of a usual one.
+        wheels: speeds of the left and of the right wheel, over what is measured.
     """
+
+    radius = BODY.radius
 
     def __init__(self, robot_seed: int, seed: int):
         super().__init__("omni", robot_seed, seed)
         self._noise = np.random.default_rng([seed, 0x7471])
+        own = np.random.default_rng([robot_seed, 0x7472])
+        self.sensors = PROXIMITY.copy()
+        self.sensors[:, 2] += CROOKED * own.standard_normal(len(PROXIMITY))
+        self.brightness = np.exp(UNEVEN * own.standard_normal(len(PROXIMITY)))
+        self.wheels = 1.0 + UNEQUAL * own.standard_normal(2)
+        self._drives[:, 2] = 0.0  # its wheels have dead bands, not the sum of them
         self.around = Place()
         self._targets = (0, 0)
 
@@ -53,24 +72,30 @@ class ThymioBody(PlanarBody):
         if (left, right) == self._targets:
             return
         self._targets = (left, right)
-        slow, fast = (min(max(value, -FULL), FULL) * FULL_SPEED / FULL for value in (left, right))
+        wanted = np.clip([left, right], -FULL, FULL) * FULL_SPEED / FULL
+        slow, fast = (np.where(np.abs(wanted) < DEAD, 0.0, wanted) * self.wheels).tolist()
         self.move(((slow + fast) / 2, 0.0, (fast - slow) / BODY.wheel_base))
 
     def speeds(self) -> tuple[int, int]:
         """Return both wheels' speeds as they are measured."""
         forward, aside = self._state[4], self._state[6] * BODY.wheel_base / 2
         noise = 4.0 * self._noise.standard_normal(2) if forward or aside else np.zeros(2)
-        left, right = np.array([forward - aside, forward + aside]) * FULL / FULL_SPEED + noise
+        turning = np.array([forward - aside, forward + aside]) / self.wheels
+        left, right = turning * FULL / FULL_SPEED + noise
         return round(left), round(right)
 
     def proximity(self) -> list[int]:
-        """Return the readings of the seven sensors; 0 without anything near."""
-        if not self.around.solid:
-            return [0] * 7
-        seen = se2.compose(self.pose, PROXIMITY)
-        far = distances(seen[:, :2], seen[:, 2], self.around.surfaces, self.around.cylinders)
-        noisy = MOST / (1 + (far / WIDTH) ** 2) + FLICKER * self._noise.standard_normal(7)
-        return np.where(far <= REACH, np.clip(np.rint(noisy), 0, 4600), 0).astype(int).tolist()
+        """Return the readings of the seven sensors."""
+        read = np.zeros(len(PROXIMITY))
+        if self.around.solid:
+            seen = se2.compose(self.pose, self.sensors)
+            rays = (seen[:, 2:] + (-APART, 0.0, APART)).ravel()
+            from_ = np.repeat(seen[:, :2], 3, axis=0)
+            far = distances(from_, rays, self.around.surfaces, self.around.cylinders).reshape(-1, 3)
+            slanted = _answer(far[:, 1] / math.cos(APART))
+            read = self.brightness * (_answer(far).sum(axis=1) - 2.0 * slanted)
+        noisy = read + FLICKER * self._noise.standard_normal(len(PROXIMITY))
+        return np.clip(np.rint(noisy), 0, MOST).astype(int).tolist()
 
     def ground(self) -> list[int]:
         """Return the readings of the two ground sensors, of 1000."""
@@ -85,6 +110,13 @@ class ThymioBody(PlanarBody):
         ]
         noisy = np.array(lights) + NOISE * self._noise.standard_normal(2)
         return np.clip(np.rint(noisy), 0, 1023).astype(int).tolist()
+
+
+def _answer(far: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the contributions of rays that end at distances (m); see :data:`MOST`."""
+    d = np.clip(far, NEAREST, REACH)
+    answer = MOST * (WIDTH - NEAREST**2) / (d**2 - 2.0 * NEAREST * d + WIDTH)
+    return np.where(far <= REACH, answer, 0.0)
 
 
 class VirtualThymioRig(BoardRig):

@@ -8,6 +8,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.declared import Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
@@ -35,11 +38,20 @@ LATE = 0.3
 LONGEST = 300.0
 #: The program runs so many times a second, at the event ``motor``.
 RATE = 100
-#: Full speed in the robot's own unit, and m/s; the body (m), the ground sensors in it (m ahead of
-#: the axle, to the left): as in Enki, the simulator of its makers (Thymio2.cpp).
+#: Full speed in the robot's own unit, and m/s; the body (m, the radius that of its round front);
+#: the ground sensors (m ahead of the axle, to the left) and the proximity sensors (and rad, where
+#: they look) and how far these see (m): as in Enki, the simulator of its makers (Thymio2.cpp).
 FULL, FULL_SPEED = 500, 0.166
-BODY = Geometry(radius=0.09, wheel_base=0.094)
+BODY = Geometry(radius=0.08, wheel_base=0.094)
 GROUND = {"line_left": (0.072, 0.0115), "line_right": (0.072, -0.0115)}
+PROXIMITY = np.array([
+    (0.062, 0.0485, 0.69813), (0.075, 0.0255, 0.34907), (0.0795, 0.0, 0.0),
+    (0.075, -0.0255, -0.34907), (0.062, -0.0485, -0.69813),
+    (-0.0295, 0.0295, math.pi), (-0.0295, -0.0295, math.pi),
+])  # fmt: skip
+REACH = 0.14
+#: The robot reads its sensors so often, s (the event ``prox`` of its programming language).
+SCAN = 0.1
 #: What the sensors read at most: something near, and a white ground.
 NEAR, WHITE = 4500, 1000
 #: A counter counts one for so much speed, summed up over the runs of the program.
@@ -65,12 +77,12 @@ T = TypeVar("T")
 class Thymio:
     """A Thymio II on its USB cable, or behind its dongle, in the protocol of Aseba.
 
-    Follows :class:`neurosim.robots.base.Robot`, ``Sensors``, ``SelfStopping``, ``Counters`` and
-    ``Lamp``. As it is connected it is given a program (it replaces one that was loaded, until the
-    robot is switched off) that holds a command for its duration and then stops both wheels,
-    whatever becomes of the computer or the cable. The program also sums up the speeds that the
-    robot measures; these are its counters. They are coarse: the robot has no encoders, it measures
-    the voltage that its motors induce.
+    Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``SelfStopping``, ``Counters``,
+    ``WholeSpeeds`` and ``Lamp``. As it is connected it is given a program (it replaces one that
+    was loaded, until the robot is switched off) that holds a command for its duration and then
+    stops both wheels, whatever becomes of the computer or the cable. The program also sums up the
+    speeds that the robot measures; these are its counters. They are coarse: the robot has no
+    encoders, it measures the voltage that its motors induce.
 
     Args:
         port: Serial port, such as ``/dev/ttyACM0`` or COM3, or a URL such as socket://host:port.
@@ -82,11 +94,18 @@ class Thymio:
     Attributes:
         geometry: radius and wheel base, m.
         pulses_per_metre: of the counters.
+        full_speed: speed at 100 %, in the robot's own unit.
+        speed_unit: the wheel speed that 1 stands for, m/s.
+        angles: where the proximity sensors look, [7] rad counter-clockwise from straight ahead.
+        scan: how often the robot reads its sensors, s.
+        reach: how far the proximity sensors see, m.
         reboots: number of observed restarts of the robot.
     """
 
     geometry = BODY
     pulses_per_metre = RATE * FULL / PER_COUNT / FULL_SPEED
+    full_speed, speed_unit = FULL, FULL_SPEED / FULL
+    angles, scan, reach = PROXIMITY[:, 2], SCAN, REACH
     commands: Commands = TWO_WHEELS.measured(
         full=FULL_SPEED, track=BODY.wheel_base, radius=BODY.radius
     )
@@ -152,6 +171,10 @@ class Thymio:
             )
         self._hold(command, seconds + LATE)
 
+    def set_speeds(self, left: int, right: int) -> None:
+        """Set both wheels' speeds in the robot's own unit, 500 at full speed; see :meth:`drive`."""
+        self.drive((100 * left / FULL, 100 * right / FULL))
+
     def stop(self) -> None:
         """Stop both wheels, with the program and without it."""
         self._carry_out(0, 0, 0)
@@ -166,6 +189,10 @@ class Thymio:
                 *(words[ground - first + n] / WHITE for n in range(2))]  # fmt: skip
         values = (min(max(value, 0.0), 1.0) for value in read)
         return dict(zip(self.sensor_names, values, strict=True))
+
+    def activations(self) -> NDArray[np.float64]:
+        """Read the proximity sensors, [7] from 0 to 1, 1 where something is near."""
+        return np.array(list(self.read_sensors().values())[: len(PROXIMITY)])
 
     def read_counts(self) -> tuple[int, int]:
         """Read both counters, left and right, in pulses.
