@@ -112,7 +112,7 @@ def run(
         by, known = guard.get("by", "both"), again[0].perimeter
         again[0].perimeter = None if at_line == "ignore" else known.guarded(by)
     marked = marker_settings(markers, robot, tag)
-    around = _place(saved)
+    around = _place(saved, robot)
     setup = Setup(**camera, seed=seed, start=saved.start, place=around, markers=marked)
     with open_rig(robot, robot_options, setup) as rig:
         report = run_trial(
@@ -179,15 +179,15 @@ def _simulator(saved: Any) -> Path | None:
     return file.parent
 
 
-def _place(saved: Any) -> Any:
-    """Return the place for which a controller was evolved; None: unknown."""
+def _place(saved: Any, robot: str) -> Any:
+    """Return the place for which a controller was evolved, for a virtual robot; None: unknown."""
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
     from neurosim.trials.rig import place_of
 
     folder = _simulator(saved)
     simulator = None if folder is None else read_simulator(folder)
-    return place_of(make_task(saved.task), simulator)
+    return place_of(robot, make_task(saved.task), simulator)
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:

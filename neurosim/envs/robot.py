@@ -91,7 +91,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         with ExitStack() as opening:
             setup = Setup(
                 camera=camera or (None if calibration is not None else "none"),
-                place=place_of(goal, simulator),
+                place=place_of(robot, goal, simulator),
             )
             rig = opening.enter_context(open_rig(robot, options, setup))
             self.robot = opening.enter_context(rig.robot)

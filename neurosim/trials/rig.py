@@ -36,6 +36,8 @@ if TYPE_CHECKING:  # PyTorch, which they import, takes seconds
     from neurosim.simulators.base import Simulator
     from neurosim.tasks.base import Task
 
+#: Virtual robots that sample themselves.
+_SAMPLERS = ("virtual-khepera", "virtual-thymio")
 #: Width or height of a frame, pixels.
 Side = Annotated[int, Meta(ge=120, le=8192)]
 
@@ -68,11 +70,11 @@ class Setup(Checked):
     real_time: bool = False
 
 
-def place_of(task: Task, simulator: Simulator | None) -> Place | None:
-    """Return the place for a virtual robot: its task's, or that of its simulator, if it has one."""
+def place_of(robot: str, task: Task, simulator: Simulator | None) -> Place | None:
+    """Return the place for a virtual robot: its task's, or, if it samples, its simulator's."""
     from neurosim.simulators.base import InPlace
 
-    if task.place is None and isinstance(simulator, InPlace):
+    if task.place is None and robot in _SAMPLERS and isinstance(simulator, InPlace):
         return simulator.place
     return task.place
 

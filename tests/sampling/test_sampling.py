@@ -19,7 +19,7 @@ from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.params import WHEEL_BASE, WHITE
 from neurosim.robots.khepera.dialects import DIALECTS, dialect_named
 from neurosim.robots.khepera.driver import Khepera
-from neurosim.robots.thymio.driver import BODY, NEAR
+from neurosim.robots.thymio.driver import BODY, NEAR, Thymio
 from neurosim.sampling import (
     FORMAT,
     VERSION,
@@ -320,7 +320,7 @@ def test_samples_are_readings_beside_a_steep_edge(tmp_path):
 
 
 def test_wall_and_obstacle_agree_in_where_sensors_look(tmp_path):
-    settings = SampleSettings(angles=90, distances=2)
+    settings = SampleSettings(angles=90, distances=2, step=0.002)
     facing = {"wall": 0.03, "cylinder": -0.01}
     wall, cylinder = _Plain.samples(tmp_path, facing, 0.0, settings)
     assert wall == pytest.approx(cylinder, abs=2e-3)
@@ -412,3 +412,11 @@ def test_resume_takes_the_options_it_was_begun_with(tmp_path, monkeypatch):
     assert seen[0] == seen[1]
     assert (seen[1][0].angles, seen[1][0].grid, *seen[1][1:]) == (24, 5, 3, True, 38400)
     assert (seen[2][0].angles, seen[2][0].grid) == (30, 5)
+
+
+def test_the_distances_reach_as_far_as_the_sensors_see():
+    """By hand: 19 steps from 5 mm to 43 mm of a Khepera, and to 14 cm of a Thymio."""
+    khepera, thymio = Khepera("port"), Thymio("port")
+    assert SampleSettings().of(khepera).step == 0.002
+    assert SampleSettings().of(thymio).step == 0.0071
+    assert SampleSettings(step=0.003).of(thymio).step == 0.003
