@@ -385,13 +385,17 @@ class Place(Checked):
                     raise UserError(f"obstacle {index} overlaps obstacle {other}")
 
 
-def paper_arena() -> Place:
+def paper_arena(scale: float = 1.0) -> Place:
     """Return the arena of Lund and Miglino 1996.
 
     60 x 35 cm with three round obstacles of 5.5 cm across in its middle; the paper does not say
     how they stand: here in a row, 12 cm apart.
+
+    Args:
+        scale: of the arena and of the distances in it, not of the obstacles.
     """
-    return Place.rectangle(0.60, 0.35, [(x, 0.0, 0.0275) for x in (-0.12, 0.0, 0.12)])
+    places = [(scale * x, 0.0, 0.0275) for x in (-0.12, 0.0, 0.12)]
+    return Place.rectangle(scale * 0.60, scale * 0.35, places)
 
 
 def lit_arena() -> Place:

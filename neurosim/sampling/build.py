@@ -64,7 +64,8 @@ def build_tables(
         radius: Radius of the robot's body, m; by default as sampled, or 27.5 mm, a Khepera's, with
             eight sensors.
         place: Place of the robot, a JSON file or a name (from Python also a place); by default the
-            arena of the paper, 60 x 35 cm with three obstacles.
+            arena of the paper, 60 x 35 cm with three obstacles, as much larger as the robot is
+            than a Khepera.
         noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or
             samples, as wide as that of the samples.
         convention: How the samples are read: neurosim, where the object moves to the robot's
@@ -116,12 +117,13 @@ def build_tables(
             f"the size of this robot is unknown, and with {count} sensors it is not a Khepera: "
             "give its radius (--radius, mm)"
         )
+    size = RADIUS if radius is None else radius
     simulator = TableSimulator(
         sensors,
         table,
-        paper_arena() if place is None else Place.of(place),
+        paper_arena(max(size / RADIUS, 1.0)) if place is None else Place.of(place),
         noise=noise,
-        radius=RADIUS if radius is None else radius,
+        radius=size,
         reaction=sampled_reaction(sampling),
         meta={
             **sources(used),

@@ -32,6 +32,9 @@ def test_the_radius_of_a_robot_that_is_no_khepera_must_be_said(tmp_path):
     ):
         build_tables(paths)
     assert build_tables(paths, radius=0.085).radius == 0.085
+    # The arena of the paper is then as much larger, twice here: 1.2 x 0.7 m.
+    x1, y1, x2, y2 = build_tables(paths, radius=0.055).place.bounds
+    assert (x2 - x1, y2 - y1) == pytest.approx((1.2, 0.7))
     with pytest.raises(UserError, match="radius: expected a number"):
         build_tables(paths, radius=-1.0)
 
