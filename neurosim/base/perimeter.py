@@ -108,11 +108,11 @@ class Perimeter(Checked):
 
     def ends(
         self,
-        before: NDArray[np.float64],
+        guard: NDArray[np.float64],
         after: NDArray[np.float64],
         duration: NDArray[np.float64] | float,
         running: NDArray[np.bool_] | None = None,
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    ) -> NDArray[np.float64]:
         """Return where the guard ends intervals of K drives.
 
         A robot moves on the arc of constant twist between two poses, or straight where that arc is
@@ -121,17 +121,16 @@ class Perimeter(Checked):
         than ``margin`` inside the edge and farther out than it is now.
 
         Args:
-            before: [K, 3] poses at the beginning (m, m, rad, board frame).
-            after: [K, 3] at the end; an interval with a pose that is not known does not end.
+            guard: [K, 4] the last known poses (m, m, rad, board frame), and codes of :data:`ENDS`
+                or 0; changed in place for drives that are running.
+            after: [K, 3] poses at the end; an interval with a pose that is not known does not end.
             duration: [K] or one for all, s.
             running: [K] which drives are still to be ended; by default all.
 
         Returns:
-            Codes [K] of :data:`ENDS`, 0 where the drive goes on, and poses [K, 3] at the end of
-            each interval, or where the robot was stopped.
+            Poses [K, 3] at the end of each interval, or where the robot was stopped.
         """
-        before = np.ascontiguousarray(before, np.float64)
-        codes, poses = np.zeros(len(after), np.int64), np.array(after, np.float64)
+        poses = np.array(after, np.float64)
         seconds = np.ascontiguousarray(np.broadcast_to(np.asarray(duration, float), len(after)))
         board = self.board
         sensors = np.array(self.sensors, np.float64).reshape(-1, 2)
@@ -142,10 +141,10 @@ class Perimeter(Checked):
             running = np.ones(len(after), np.bool_)
 
         def part(first: int, last: int) -> None:
-            _ends(first, last, before, poses, seconds, running, half, line, sensors, margin, codes)
+            _ends(first, last, guard, poses, seconds, running, half, line, sensors, margin)
 
         on_cores(_ends, part, len(poses), WORTH_SHARING)
-        return codes, poses
+        return poses
 
 
 @njit(cache=True, nogil=True)
@@ -158,7 +157,7 @@ def _inside(x: float, y: float, half: tuple[float, float]) -> float:
 def _ends(
     first: int,
     last: int,
-    before: NDArray,
+    guard: NDArray,
     poses: NDArray,
     seconds: NDArray,
     running: NDArray,
@@ -166,9 +165,8 @@ def _ends(
     line: tuple[float, float],
     sensors: NDArray,
     margin: float,
-    codes: NDArray,
 ) -> None:
-    """Write codes [K], and into ``poses`` [K, 3] where robots were stopped; see Perimeter.ends.
+    """Write ``guard`` [K, 4], and into ``poses`` [K, 3] where robots stop; see Perimeter.ends.
 
     ``first`` and ``last`` limit the robots, from the first to before the last.
     """
@@ -181,8 +179,11 @@ def _ends(
     for k in range(first, last):
         if not running[k]:
             continue
-        x, y, heading = before[k, 0], before[k, 1], before[k, 2]
+        x, y, heading = guard[k, 0], guard[k, 1], guard[k, 2]
         dx, dy, turn = poses[k, 0] - x, poses[k, 1] - y, poses[k, 2] - heading
+        if math.isfinite(poses[k, 0] + poses[k, 1] + poses[k, 2]):
+            for i in range(3):
+                guard[k, i] = poses[k, i]
         if not (abs(x) + abs(y) + abs(dx) + abs(dy) < 1e3 and abs(heading) + abs(turn) < 1e6):
             continue
         length = se2.arc_length(dx, dy, turn)
@@ -220,7 +221,9 @@ def _ends(
                 if there - DISTANCE_ERROR * length_ahead < margin and there < here - 1e-4:
                     code = EDGE
             if code > 0:
-                codes[k] = code
                 poses[k, 0], poses[k, 1], poses[k, 2] = to_x, to_y, theta
+                for i in range(3):
+                    guard[k, i] = poses[k, i]
+                guard[k, 3] = code
                 break
             n += 1

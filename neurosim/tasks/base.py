@@ -252,9 +252,9 @@ class Task(Checked):
     def add(self, record: NDArray[np.float64], interval: Interval) -> None:
         """Add an interval of K trials to records of :meth:`new_record`, in place."""
         own, guard = self._parts(record)
-        self._add_guarded(own, guard, interval)
+        self._add_guarded(own, guard, interval, _over(own, guard))
         if guard is not None:
-            record[:, :-_GUARD] = own
+            record[:, :-_GUARD], record[:, -_GUARD:] = own, guard
 
     def score(self, record: NDArray[np.float64]) -> Judgement:
         """Return :meth:`worth` of records of :meth:`new_record`, and which trials are ``over``.
@@ -285,23 +285,25 @@ class Task(Checked):
         """Return a record without the guard's columns, and these, if there is a perimeter."""
         if self.perimeter is None:
             return record, None
-        return np.ascontiguousarray(record[:, :-_GUARD]), record[:, -_GUARD:]
+        parts = record[:, :-_GUARD], record[:, -_GUARD:]
+        return np.ascontiguousarray(parts[0]), np.ascontiguousarray(parts[1])
 
-    def _add_guarded(self, own: NDArray, guard: NDArray | None, interval: Interval) -> None:
-        """Add an interval, up to where the guard ends it; nothing is added after that."""
+    def _add_guarded(
+        self, own: NDArray, guard: NDArray | None, interval: Interval, over: NDArray[np.bool_]
+    ) -> None:
+        """Add an interval, up to where the guard ends it; nothing is added after that.
+
+        ``over`` [K] says which trials are over by then.
+        """
         if guard is None:
             self.advance(own, interval)
             return
         assert self.perimeter is not None
-        running = ~_over(own, guard)
-        code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration, running)
         stopped = np.flatnonzero(guard[:, 3] > 0)
         kept = own[stopped]
+        poses = self.perimeter.ends(guard, interval.poses, interval.duration, ~over)
         self.advance(own, interval._replace(poses=poses))
         own[stopped] = kept
-        seen = running & np.isfinite(poses).all(axis=1)
-        np.copyto(guard[:, :3], poses, where=seen[:, None])
-        np.copyto(guard[:, 3], code, where=code > 0)
 
     def _score_guarded(self, own: NDArray, guard: NDArray | None) -> Judgement:
         judged = replace(self.worth(own), over=_over(own, guard))
@@ -331,7 +333,7 @@ class Task(Checked):
         settled = np.where(before, 0, max(steps - 1, 0))
         with one_core(count < WORTH_SHARING):
             for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
-                self._add_guarded(own, guard, interval)
+                self._add_guarded(own, guard, interval, before)
                 over = _over(own, guard)
                 settled[over & ~before], before = step, over
         if trajectory.segment is not None:

@@ -372,13 +372,13 @@ def _add(
                 record[k, 6] += 1
             record[k, 8] = min(progress, last)
         record[k, 9] = np.inf
-        if math.isfinite(x) and math.isfinite(y):
+        # After a breach nothing counts.
+        if fault == 0 and math.isfinite(x) and math.isfinite(y):
             for goal in range(len(goals)):
                 off_x = max(abs(x - goals[goal, 0]) - 0.5 * length, 0.0)
                 off_y = max(abs(y - goals[goal, 1]) - 0.5 * width, 0.0)
                 square = off_x * off_x + off_y * off_y
-                if fault == 0:  # after a breach nothing counts
-                    record[k, _COLUMNS + goal] = min(record[k, _COLUMNS + goal], square)
+                record[k, _COLUMNS + goal] = min(record[k, _COLUMNS + goal], square)
                 if goal == last - 1:
                     record[k, 9] = square
         record[k, 0] = 1.0 if fault != 0 else 0.0

@@ -18,8 +18,11 @@ SENSORS = ((0.06, 0.09), (0.06, -0.09))
 
 
 def end(perimeter, before, after, duration=1.0):
-    codes, poses = perimeter.ends(np.array([before], float), np.array([after], float), duration)
-    return int(codes[0]), poses[0]
+    guard = np.array([[*before, 0.0]])
+    poses = perimeter.ends(guard, np.array([after], float), duration)
+    known = np.isfinite(poses[0]).all()
+    np.testing.assert_array_equal(guard[0, :3], poses[0] if known else before)
+    return int(guard[0, 3]), poses[0]
 
 
 def test_a_sensor_ahead_meets_the_line_before_the_axle_does():

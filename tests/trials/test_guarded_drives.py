@@ -84,9 +84,10 @@ def simulated(controller, by="both", start=None):
     assert not judged.success[0, 0]
     poses, code = trajectory.poses[0, 0], 0
     for before, after in itertools.pairwise(poses):
-        codes, ends = simulator.perimeter.ends(before[None], after[None], 3.0)
-        if codes[0]:
-            code, after = int(codes[0]), ends[0]
+        guard = np.array([[*before, 0.0]])
+        ends = simulator.perimeter.ends(guard, after[None], 3.0)
+        if guard[0, 3]:
+            code, after = int(guard[0, 3]), ends[0]
             break
     expected = ENDS[code - 1] if code else TASK.reasons[int(judged.reason[0, 0])]
     assert evaluator.task.why(int(judged.reason[0, 0])) == expected
