@@ -662,4 +662,6 @@ def _refuses(what: str, function: Callable[..., Any], *values: Any) -> None:
         function(*values)
     except UserError:
         return
-    raise AssertionError(f"{what} must be refused with a UserError")
+    raise AssertionError(
+        f"{what} must be refused with a UserError: commands.check(command) does this"
+    )

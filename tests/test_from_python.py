@@ -177,6 +177,11 @@ def test_rollouts_and_checks_take_folders_and_names(folder, tmp_path):
     driven = ns.rollout(folder, tmp_path / "c", task="obstacle-avoidance").poses
     assert np.array_equal(driven, ns.rollout(simulator, saved).poses)
     assert check(saved, folder, "obstacle-avoidance", draws=4) == check(saved, folder, draws=4)
+    start = np.array([0.1, 0.2, 0.3])
+    for placing in ((0.0, 0.0), (0.02, 0.1)):
+        placed = ns.rollout(folder, commands, start=start, samples=500, placing=placing).poses
+        spread = [placing[0], placing[0], placing[1]]
+        np.testing.assert_allclose((placed[:, 0] - start).std(axis=0), spread, rtol=0.15)
 
 
 def test_names_are_those_that_a_user_needs():

@@ -18,18 +18,19 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
 from neurosim.base.declared import Checked, Count, Placing, Seconds, SecondsOrNone
 from neurosim.base.threads import one_core, one_thread
-from neurosim.base.trajectory import Draws, Trajectory
+from neurosim.base.trajectory import RUN_DOWN, Draws, Trajectory
 from neurosim.controllers.plan import Command, Plan, commands_of, stop_after
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.search import Search, new_optimiser
 from neurosim.loop.settings import EvolveSettings
 from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import placed
 from neurosim.tasks.base import Interval, Judgement, Task
 
 
@@ -178,6 +179,39 @@ class Replanner:
             self._clock.sleep_until(began + self._settings.think)
         self._commands.append(command)
         return command
+
+    def rehearse(self, start: ArrayLike, seed: int = 0) -> tuple[Judgement, Trajectory]:
+        """Drive a trial in the simulator, through one random sample.
+
+        Before each command the robot is seen with an error, as ``placing`` of the settings says.
+
+        Args:
+            start: [3] where the robot stands (m, m, rad).
+            seed: of the sample and of these errors.
+
+        Returns:
+            The task's judgement of the trial, and its trajectory: a command is an interval, and in
+            the last one the robot stops.
+        """
+        self.begin()
+        simulator, rng = self._simulator, np.random.default_rng(seed)
+        member = rng.integers(0, simulator.members, 1) if simulator.members > 1 else None
+        seeds = rng.integers(2**64, size=1, dtype=np.uint64)
+        state = self._stepper.start(np.array([start], np.float64), member)
+        poses, given = [state[0, :3]], list[Command]()
+        while True:
+            seen = placed(state[:, :3], self._settings.placing, rng)[0]
+            command = self.next(seen) if len(given) < self.steps else None
+            given.append(command or (*self._stop, RUN_DOWN))
+            count = np.array([len(given) - 1])
+            noise = self._stepper.noise(seeds, count) if simulator.has_noise else None
+            state = self._stepper.step(state, np.array([given[-1]]), noise)
+            poses.append(state[0, :3])
+            if command is None:
+                break
+        commands, active = np.array(given), np.arange(len(given)) < len(given) - 1
+        driven = Trajectory(np.array(poses), commands, commands[:, -1], active=active)
+        return self._onward.task.judge(driven), driven
 
     @property
     def _moves(self) -> bool:

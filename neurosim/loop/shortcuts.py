@@ -92,6 +92,7 @@ def rollout(
     task: str | Task | None = None,
     samples: int = 0,
     seed: int = 0,
+    placing: tuple[float, float] = PLACING,
 ) -> Trajectory:
     """Drive commands or a controller in a simulator.
 
@@ -103,6 +104,8 @@ def rollout(
         task: of a controller, how long it runs: a task or its name; by default its own.
         samples: random samples that each is driven through; 0: what the simulator expects.
         seed: of the draws.
+        placing: error in placing the robot, in samples: standard deviations in x and y (m), in
+            heading (rad).
 
     Returns:
         The trajectory: [B] trials (none for one command sequence or controller), with
@@ -147,7 +150,7 @@ def rollout(
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise UserError(f"start must be x (m), y (m), heading (rad), not {start!r}")
     starts = np.tile(pose, (max(samples, 1), 1))
-    draws = rollouts.draw(starts, seed, PLACING) if samples else Draws(starts)
+    draws = rollouts.draw(starts, seed, placing) if samples else Draws(starts)
     trajectory = rollouts.run(rows, draws)
     index = ((0,) if single else (slice(None),)) + (() if samples else (0,))
     return _picked(trajectory, index, isinstance(what, Tensor))

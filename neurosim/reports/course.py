@@ -83,6 +83,25 @@ class Paths:
     driven: ArrayLike = field(default_factory=lambda: np.empty((0, 4)))
     stopped: Sequence[float] | None = None
 
+    @classmethod
+    def of_trial(cls, trial: Mapping[str, Any]) -> Paths:
+        """Return the predicted and the driven path of a trial.
+
+        Args:
+            trial: the content of its trial.json, which :func:`neurosim.trials.trial.run_trial`
+                returns.
+        """
+        predicted, actual, stopped = trial["predicted"], trial["actual"], trial.get("stopped")
+        return cls(
+            np.array(predicted.get("poses") or [], float).reshape(-1, 3),
+            bool(trial["errors"]),
+            predicted.get("rest"),
+            actual.get("poses") or [],
+            actual.get("path") or [],
+            # Where it was tracked, else where the guard knew it to be.
+            None if stopped is None else actual.get("cut") or stopped.get("pose"),
+        )
+
     def ideal(self, longest: float = LONGEST_ARC) -> NDArray[np.float64]:
         """Return the poses [N, 3] of the predicted path."""
         ends = np.asarray(self.predicted, float).reshape(-1, 3)

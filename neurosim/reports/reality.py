@@ -112,13 +112,9 @@ def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Pic
     which = " and ".join(name for name, count in sides.items() if count) or "no known"
     count = len(meta["commands"])
     words = f"{label(trial)}: {which} path, {counted(count, 'command')}; {_outcome(trial)}"
-    paths = Paths(
-        trial.predicted, trial.by_command, meta["predicted"].get("rest"),
-        actual.get("poses") or [], actual.get("path") or [],
-        _stopped(meta),
-    )  # fmt: skip
     scene = Scene.of(trial.task, artefacts.place_of(trial), trial.board)
-    still, moving = course(scene, paths, words, prefix, small=small), film(artefacts, trial)
+    still = course(scene, Paths.of_trial(meta), words, prefix, small=small)
+    moving = film(artefacts, trial)
     caption = (
         f"{words}. Fitness {_figure(meta['predicted'].get('fitness'))} predicted, "
         f"{_figure(meta['actual'].get('fitness'))} actual."
@@ -153,12 +149,6 @@ def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Pic
         caption += f" Grey: {len(moving.samples)} samples of the drive in the simulator."
     played = None if moving is None else moving.as_json(*still.origin, still.scale)
     return Picture(still.svg, caption, film=played)
-
-
-def _stopped(meta: Any) -> Any:
-    """Return where the guard stopped the robot: as it was tracked, else as the guard knew it."""
-    stopped = meta.get("stopped")
-    return None if stopped is None else meta["actual"].get("cut") or stopped.get("pose")
 
 
 def _outcome(trial: Trial) -> str:

@@ -152,7 +152,9 @@ class _Tried:
             command[place] = GENTLE * one.high
             if self._counter is not None and self._takes.body == "wheels":
                 findings.append(self._wheel(place, command))
-            elif self._counter is not None and one.name in ("v", "vx", "w", "omega"):
+            elif self._counter is not None and (
+                self._takes.body == "car" or one.name in ("v", "vx", "w", "omega")
+            ):
                 findings.append(self._velocity(one, command))
             else:
                 findings.append(self._seen(one.name, command))

@@ -124,6 +124,33 @@ def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
     assert abs(result[2] - seconds * twist[2]) < math.pi
 
 
+def test_a_rehearsal_is_exact_where_nothing_is_uncertain():
+    exact = ReplanSettings(generations=2, draws=4, placing=(0.0, 0.0))
+    replanner = Replanner(IdealWheels(), TASK, Plan(slots=2), settings=exact)
+    judged, driven = replanner.rehearse((0.05, 0.0, 0.1))
+    foreseen = replanner.foreseen
+    np.testing.assert_allclose(driven.poses[:-2], [one.pose for one in foreseen], atol=1e-9)
+    np.testing.assert_allclose(driven.poses[1:-1], [one.after for one in foreseen], atol=1e-9)
+    assert driven.active.tolist() == [True] * len(foreseen) + [False]
+    assert driven.commands[-1].tolist() == [0.0, 0.0, 0.5]
+    x, y, _ = driven.poses[-1] - TASK.goals[0]
+    assert judged.detail["distance"] == pytest.approx(math.hypot(x, y))
+    # The next one begins again.
+    np.testing.assert_array_equal(replanner.rehearse((0.05, 0.0, 0.1))[1].poses, driven.poses)
+
+
+def test_rehearsals_are_random_samples():
+    few = ReplanSettings(generations=1, draws=2, placing=(0.0, 0.0), most=1)
+    replanner = Replanner(SlippingWheels(), TASK, Plan(slots=2), settings=few)
+    driven = [replanner.rehearse(np.zeros(3), seed)[1] for seed in (1, 2, 1)]
+    # The first command is the same in all, and the wheels slip by 3 %.
+    assert len({tuple(each.commands[0]) for each in driven}) == 1
+    first = [np.linalg.norm(each.poses[1] - driven[0].poses[1]) for each in driven]
+    assert first[1] > 1e-4
+    assert first[2] == 0.0
+    assert all(len(each.commands) <= replanner.steps + 1 == 3 for each in driven)
+
+
 class Clock:
     """Every look at it takes 0.1 s."""
 

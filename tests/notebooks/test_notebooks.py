@@ -43,6 +43,23 @@ SHORTER = {
         "confirm=3,\n    trials=3,": "confirm=2,\n    trials=1,",
         "np.tile(genes, (10, 1))": "np.tile(genes, (2, 1))",
     },
+    "closed_loop": {
+        "members=4, seed=1": "members=2, seed=1, centres=20, most_parts=4000",
+        "generations=60, runs=4, robust=RobustSettings(generations=40)": (
+            "generations=10, runs=2, robust=RobustSettings(generations=2)"
+        ),
+        "progress=False, generations=30": "progress=False, generations=5",
+        "standard_normal((20, 3))": "standard_normal((2, 3))",
+        "range(4)": "range(1)",
+    },
+    "own_robot": {
+        "range(200)": "range(60)",
+        "members=4, seed=1": "members=2, seed=1, centres=20",
+        "generations=60, runs=2, robust=RobustSettings(generations=20)": (
+            "generations=5, runs=1, robust=RobustSettings(generations=2)"
+        ),
+        "range(10)": "range(2)",
+    },
 }
 
 

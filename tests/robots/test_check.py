@@ -7,9 +7,11 @@ import sys
 import pytest
 from patience import PATIENCE
 
+from neurosim.base.commands import Commands, Number
 from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig
 from neurosim.lab.lines.bodies import TwoWheels
 from neurosim.lab.lines.firmware import LinesFirmware
+from neurosim.robots.base import Geometry
 from neurosim.robots.check import check
 
 
@@ -59,6 +61,53 @@ def test_where_nothing_counts_a_person_is_asked():
     assert "change the sign" in result["command omega"].sentence
     with VirtualRig(1, camera=False) as rig:
         assert checked(rig)["command left"].verdict == "unknown"
+
+
+class CountingCar:
+    """A car that follows at once, ``factor`` times as fast, and counts 1000 pulses a metre."""
+
+    commands = Commands(
+        (Number("speed", "m/s", -0.4, 0.4), Number("steer", "rad", -0.5, 0.5, speed=False)),
+        "car",
+        {"wheelbase": 0.16},
+    )
+    pulses_per_metre, geometry = 1000.0, Geometry(0.1, 0.12)
+
+    def __init__(self, factor):
+        self.clock, self.factor, self.time, self.pulses, self.speed = self, factor, 0.0, 0.0, 0.0
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, time):
+        self.pulses += 1000 * self.factor * self.speed * max(time - self.time, 0.0)
+        self.time = max(time, self.time)
+
+    def drive(self, command):
+        self.speed = command[0]
+
+    def stop(self):
+        self.speed = 0.0
+
+    def read_counts(self):
+        return round(self.pulses), round(self.pulses)
+
+    def set_counts(self, left, right):
+        self.pulses = left
+
+
+@pytest.mark.parametrize(
+    ("factor", "verdict", "says"),
+    [
+        (1.0, "good", "drive forward, at 0.120 m/s; commanded were 0.120"),
+        (-1.0, "wrong", "does the opposite: change the sign"),
+        (0.5, "wrong", "at 0.060 m/s, not at the commanded 0.120"),
+    ],
+)
+def test_counters_tell_what_a_cars_speed_does(factor, verdict, says):
+    (result,) = (one for one in check(CountingCar(factor)) if one.what == "command speed")
+    assert result.verdict == verdict
+    assert says in result.sentence
 
 
 def body(monkeypatch, change):

@@ -213,7 +213,7 @@ def test_rows_of_poses(tmp_path):
     dataset = import_csv(
         write(tmp_path / "rows.csv", POSES, lines),
         tmp_path / "d",
-        columns={"u": "u"},
+        columns=("u",),
         conventions=Conventions(angle="deg"),
     )
     expected = [[2, 1, np.radians(10)], [0, 0, np.radians(20)]]

@@ -58,7 +58,7 @@ def import_csv(
     paths: Sequence[str | Path] | str | Path,
     out: str | Path,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | Sequence[str] | None = None,
     units: Mapping[str, str] | None = None,
     rows: bool | None = None,
     from_rest: bool = False,
@@ -77,7 +77,8 @@ def import_csv(
             of rows duration (or start, end), and dx, dy, dtheta (or x0, y0, heading0, x1, y1,
             heading1). Those that are not named here are looked up by their own name. Any other
             name is a command's, in this order; ``prev_`` and such a name is, in a file of rows,
-            the command before. Without commands v, w or left, right are looked for.
+            the command before. Without commands v, w or left, right are looked for. Names alone,
+            ``("speed", "steer")``, stand for themselves.
         units: command's name -> its unit, for people to read; by default m/s of v, rad/s of w.
         rows: whether a line is a command rather than a sample; by default what the columns say.
         from_rest: of rows: the robot stood before each command. Otherwise the command before is
@@ -102,6 +103,8 @@ def import_csv(
         9
     """
     conventions, settings = conventions or Conventions(), settings or logs.Settings()
+    if columns is not None and not isinstance(columns, Mapping):
+        columns = {name: name for name in ([columns] if isinstance(columns, str) else columns)}
     columns, units = dict(columns or {}), dict(units or {})
     files.check_new_folder(out)
     inputs = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]

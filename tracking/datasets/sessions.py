@@ -189,6 +189,8 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     if len(time) < 8:
         return np.zeros(0, np.int64)
     steps = np.diff(time)
+    # Of two samples close together, such as one more where a command begins, the noise is no jump.
+    steps = np.maximum(steps, np.median(steps) / 2)
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
     limit = _JUMP * np.quantile(speed, 0.99)
     jumps = []
