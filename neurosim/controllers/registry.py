@@ -66,7 +66,8 @@ def make_controller(
         if not settings["inputs"]:
             raise UserError(
                 f"a {kind} needs something to observe: the simulator has no sensors and the task "
-                "no goals; give inputs, such as x, y, cos_heading, sin_heading"
+                "no goals; use a simulator with sensors, such as tables (neurosim build-tables), "
+                "or give inputs, such as x, y, cos_heading, sin_heading"
             )
     if simulator is not None and "outputs" in fields and "outputs" not in settings:
         names = tuple(name for name in simulator.command_names if name != "duration")

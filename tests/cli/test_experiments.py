@@ -279,7 +279,7 @@ def test_an_interrupted_recording_is_continued_and_tracked_in_place(tmp_path):
         ("[trian]", "'trian': there is no command 'trian', and a table of another name needs the "
          "key command; did you mean train"),
         ('[a]\ncommand = "evolv"', "'a.command': there is no command 'evolv'; did you mean evolve"),
-        ("[lab]", "'lab.command': lab needs one of nxt, khepera, lines, ros, photographs"),
+        ("[lab]", "'lab.command': lab needs one of nxt, khepera, lines, thymio, ros, photographs"),
         ("[train]", "'train.dataset': is missing: train needs one, and no stage before it makes"),
         ('[train]\ndataset = "d"', "'train.dataset': d is neither a file nor an earlier stage"),
         ('[train]\ndataset = "."\ntrainer = "ga"\ncentres = 3',
