@@ -59,9 +59,9 @@ class Processes:
         """
         words = [sys.executable, "-m", "neurosim", *self._plugins, *words, "--json"]
         run = self._here if self._ray is None else self._elsewhere
-        code, printed, said = run(words, os.environ | self._threads)
+        code, printed, errors = run(words, os.environ | self._threads)
         if code:
-            lines = said.strip().splitlines() or [f"it ended with exit code {code}"]
+            lines = errors.strip().splitlines() or [f"it ended with exit code {code}"]
             raise UserError(lines[-1].removeprefix("neurosim: "))
         return dict(json.loads(printed))
 
@@ -94,9 +94,9 @@ class Processes:
         process = self._start(
             subprocess.Popen, words, env=environment, stdout=pipe, stderr=pipe, text=True
         )
-        printed, said = process.communicate()
+        printed, errors = process.communicate()
         self._running.discard(process)
-        return process.returncode, printed, said
+        return process.returncode, printed, errors
 
     def _elsewhere(self, words: list[str], environment: dict[str, str]) -> tuple[int, str, str]:
         assert self._ray is not None

@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def pipeline(*words):
-    """Run the command; return its JSON and what was said on stderr."""
+    """Run the command; return its JSON, and its messages on stderr."""
     done = CliRunner().invoke(cli, ["pipeline", *map(str, words), "--json"], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout), done.stderr
@@ -120,11 +120,11 @@ def test_combinations_that_run_at_once_give_the_same(tmp_path):
     file = tmp_path / "sweep.toml"
     file.write_text(SWEEP.replace("DATA", str(ROOT / "data" / "reference")))
     expected, _ = pipeline(file, "-o", tmp_path / "one")
-    result, said = pipeline(file, "-o", tmp_path / "three", "--at-once", "3")
+    result, messages = pipeline(file, "-o", tmp_path / "three", "--at-once", "3")
     # The stage that all three share is done once; the others wait for it.
-    assert said.count("$ neurosim train") == said.count("simulator: done in") == 1
-    assert said.count("simulator: done before") == 2
-    assert said.count("evolve: done in") == 3
+    assert messages.count("$ neurosim train") == messages.count("simulator: done in") == 1
+    assert messages.count("simulator: done before") == 2
+    assert messages.count("evolve: done in") == 3
     for one, other in zip(expected["points"], result["points"], strict=True):
         assert one["sweep"] == other["sweep"]
         for name in ("simulator", "evolve"):
@@ -134,8 +134,8 @@ def test_combinations_that_run_at_once_give_the_same(tmp_path):
             assert {key: first[key] for key in first if key in ("fitness", "test_errors")} == {
                 key: second[key] for key in first if key in ("fitness", "test_errors")
             }
-    again, said = pipeline(file, "-o", tmp_path / "three", "--at-once", "2")
-    assert "$ neurosim" not in said
+    again, messages = pipeline(file, "-o", tmp_path / "three", "--at-once", "2")
+    assert "$ neurosim" not in messages
     assert all(one["done_before"] for point in again["points"] for one in point["stages"].values())
 
 
@@ -161,9 +161,9 @@ def test_ctrl_c_ends_all_that_run_at_once(tmp_path):
     begun = [tmp_path / "sweep" / f"seed={seed}" / "evolve.checkpoint" for seed in (0, 1)]
     wait_until(lambda: all((one / "checkpoint.json").exists() for one in begun), "both evolutions")
     process.send_signal(signal.SIGINT)  # to this process alone, which has to end the others
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, said
-    assert "Traceback" not in said
+    _, messages = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, messages
+    assert "Traceback" not in messages
     with pytest.raises(ProcessLookupError):
         wait_until(lambda: os.killpg(process.pid, 0), "the end of all")
     assert not (tmp_path / "sweep" / "seed=2").exists()
