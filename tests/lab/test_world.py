@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from neurosim.base.errors import FileError
+from neurosim.base.errors import FileError, UserError
 from neurosim.lab.nxt.body import NxtBody, Wiring
 from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.world import Lab, Pacer, Push, read_truth
@@ -86,7 +86,7 @@ def test_truth_is_written_piece_by_piece(tmp_path):
 def test_the_robot_can_be_put_down_in_the_room_only():
     lab = Lab(0, camera=None, start=(0.3, -0.2, 7.0))
     assert lab.body.pose == pytest.approx([0.3, -0.2, 7.0])
-    with pytest.raises(ValueError, match="outside"):
+    with pytest.raises(UserError, match="outside"):
         lab.place(9.0, 0.0, 0.0)
 
 
