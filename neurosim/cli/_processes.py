@@ -57,9 +57,9 @@ class Processes:
         Raises:
             UserError: with the command's last line on stderr, if it failed.
         """
-        words = [sys.executable, "-m", "neurosim", *self._plugins, *words, "--json"]
+        words = ["-m", "neurosim", *self._plugins, *words, "--json"]
         run = self._here if self._ray is None else self._elsewhere
-        code, printed, errors = run(words, os.environ | self._threads)
+        code, printed, errors = run(words)
         if code:
             lines = errors.strip().splitlines() or [f"it ended with exit code {code}"]
             raise UserError(lines[-1].removeprefix("neurosim: "))
@@ -89,8 +89,9 @@ class Processes:
             self._running.add(one)
         return one
 
-    def _here(self, words: list[str], environment: dict[str, str]) -> tuple[int, str, str]:
-        pipe = subprocess.PIPE
+    def _here(self, words: list[str]) -> tuple[int, str, str]:
+        pipe, environment = subprocess.PIPE, os.environ | self._threads
+        words = [sys.executable, *words]
         process = self._start(
             subprocess.Popen, words, env=environment, stdout=pipe, stderr=pipe, text=True
         )
@@ -98,10 +99,9 @@ class Processes:
         self._running.discard(process)
         return process.returncode, printed, errors
 
-    def _elsewhere(self, words: list[str], environment: dict[str, str]) -> tuple[int, str, str]:
+    def _elsewhere(self, words: list[str]) -> tuple[int, str, str]:
         assert self._ray is not None
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
-        words[0] = "python"  # each computer's own
         reference = self._start(task.remote, words, self._threads, str(Path.cwd()))
         try:
             return tuple(self._ray.get(reference))  # type: ignore[return-value]
@@ -112,8 +112,8 @@ class Processes:
 
 
 def _run(words: list[str], environment: dict[str, str], folder: str) -> tuple[int, str, str]:
-    """Run a command in a worker of a cluster."""
-    words = [sys.executable, *words[1:]]
+    """Run a command in a worker of a cluster, by its own Python."""
+    words = [sys.executable, *words]
     done = subprocess.run(
         words, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False
     )

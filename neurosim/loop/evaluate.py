@@ -375,7 +375,6 @@ def joined(
         UserError: if one of them is not there or something else.
     """
     simulator, task = simulator_of(simulator), make_task(task)
-    check_readings(simulator, task)
     if controller is None:
         controller = task.usual_controller
     if isinstance(controller, str):

@@ -325,7 +325,7 @@ class CombinedTrainer:
         trust = row_weights(self._rows.given[:whole], left.T).T.square()
         generator = torch.Generator().manual_seed(self._seed)
         members = self._settings.members
-        return fit_floor(data.start, data.y, left.cpu(), trust.cpu(), members, generator)
+        return fit_floor(data.start, data.y, left, trust, members, generator)
 
     def _fit_process(self) -> None:
         """Choose the process' inputs, lengths and centres."""
@@ -515,7 +515,7 @@ class CombinedTrainer:
             self._data.input_scale,
             torch.ones(OUTPUTS),
             "residual-twist",
-            dead_band=self._dead_band.cpu(),
+            dead_band=self._dead_band,
             central=count > 0,
             derived=self._derived,
             drive=self._drive,
