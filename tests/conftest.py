@@ -1,4 +1,4 @@
-"""What all tests fraction."""
+"""Settings and fixtures of all tests."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-# Two workers fraction two cores: threads that wait for others must not keep a core busy meanwhile.
+# Two workers share two cores: threads that wait for others must not keep a core busy.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-# A shell that starts the tests in the background, or nohup, has them, and all that they start,
-# ignore what would end them.
+# A shell that starts the tests in the background, or nohup, makes them and their child processes
+# ignore the signals that end a process.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for name in ("SIGHUP", "SIGQUIT"):
     if hasattr(signal, name):
         signal.signal(getattr(signal, name), signal.SIG_DFL)
 
-#: Whoever asks for one of these waits for another process: all commands in a row, or a browser.
+#: A test that uses one of these waits for another process: all commands in a row, or a browser.
 SLOW_FIXTURES = {"pipeline", "browser", "tab"}
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -28,8 +28,8 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
-    # A file is one worker's: what takes long comes first, so that none waits for it at the end.
-    # One worker runs all stages, which other tests need, while another one runs the notebooks.
+    # All tests of a file run in one worker. Slow files come first; no worker waits at the end.
+    # One worker runs all stages, which other tests need; another one runs the notebooks meanwhile.
     first = ("test_pipeline.py", "test_notebooks.py")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.path.name not in first, item.path not in slow))
@@ -37,7 +37,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Reference data made by others; a user's checkout has none beside it."""
+    """Return the folder of published reference data; skip where a checkout lacks it."""
     if not SHARED.is_dir():
         pytest.skip(f"the reference data is not there ({SHARED})")
     return SHARED

@@ -1,6 +1,6 @@
 """Any simulator with any controller at any task, by the one loop: evolved, checked, resumed.
 
-What cannot be (a task that needs sensors in a simulator without) is refused with a sentence.
+An impossible pair (a task that needs sensors, a simulator without) is an error of one sentence.
 """
 
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 #: From the bottom up. Packages of one layer do not import each other. ``neurosim`` itself is the
-#: public face, which names what users need; ``neurosim.testing`` are checks for other packages.
+#: public interface; ``neurosim.testing`` has checks for other packages.
 LAYERS = (
     {"neurosim.base"},
     {"neurosim.robots", "neurosim.networks", "neurosim.evolution", "tracking"},
@@ -32,7 +32,7 @@ LAYERS = (
 LAYER_OF = {package: number for number, layer in enumerate(LAYERS) for package in layer}
 LOOSE = {"neurosim.__main__", "neurosim.testing"}  # modules that belong to no package
 
-#: What a registry holds until it is wanted: "neurosim.robots.nxt:NXT".
+#: An entry of a registry that is not loaded yet: "neurosim.robots.nxt:NXT".
 LAZY = re.compile(r"((?:neurosim|tracking)(?:\.\w+)*):[\w.]+")
 
 
@@ -53,7 +53,7 @@ def package_of(module: str) -> str:
 
 
 def imports_of(source: str) -> set[str]:
-    """Return the modules that a module imports, also in functions and for annotations.
+    """Return the modules that a module imports, including imports in functions and for annotations.
 
     The packages around an imported module, whose ``__init__`` runs by itself, do not count.
     """

@@ -1,4 +1,4 @@
-"""What we ship passes the checks that we offer to others; what is wrong in one way does not."""
+"""All that neurosim contains passes the checks that it offers; classes with one fault do not."""
 
 import importlib.util
 from dataclasses import dataclass
@@ -211,7 +211,7 @@ class Loud(Walker):
 
 
 class OtherCompiled(Walker):
-    """Its compiled rollouts are those of a robot that is another."""
+    """Its compiled rollouts are those of another robot."""
 
     has_noise = False
 
@@ -314,7 +314,7 @@ def test_a_task_that_is_wrong(kind, says):
 
 
 class Stays:
-    """Asks for the same again and again."""
+    """Returns the same population again and again."""
 
     def __init__(self, space):
         self.genes = np.random.default_rng(space.seed).random((8, space.genes))

@@ -1,4 +1,4 @@
-"""Pages of the docs: their code and commands run, links lead somewhere, sentences are short."""
+"""Pages of the docs: their code and commands run, links have targets, sentences are short."""
 
 import doctest
 import inspect
@@ -45,7 +45,7 @@ MOST_WORDS = 35
 #: Words written by hand in README and docs together: in prose, and in tables.
 MOST_IN_PROSE = 12_000
 MOST_IN_TABLES = 5_500
-#: Pages that define the words that do not come back.
+#: Pages that may name the words that are not used elsewhere.
 OF_WORDS = ("glossary.md",)
 
 
@@ -59,7 +59,7 @@ def text_of(page):
 
 
 def blocks(page, *languages):
-    """Give what stands between fences of these languages."""
+    """Give the code blocks of these languages."""
     inside, lines = None, []
     for line in text_of(page).splitlines():
         if line.startswith("```"):
@@ -74,7 +74,7 @@ def commands(page):
     for block in blocks(page, "", "sh"):
         for line in block.replace("\\\n", " ").splitlines():
             if line.startswith("neurosim "):
-                # What follows many blanks is a remark.
+                # Text after many blanks is a remark.
                 yield shlex.split(re.sub(r" {5,}\S.*", "", line), comments=True)[1:]
 
 
@@ -126,7 +126,7 @@ def test_python_runs(page, block, made, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if "import cma" in block:
         pytest.importorskip("cma")
-    # As a module, so that its dataclasses find themselves.
+    # As a module, because dataclasses look up their module by name.
     module = types.ModuleType("block_of_docs")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     exec(compile(block, page, "exec"), module.__dict__)
@@ -153,7 +153,7 @@ def test_examples_run(name, made, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Make what the pages' blocks start from: data, a simulator, tables."""
+    """Make the files from which the pages' blocks start: data, a simulator, tables."""
     folder = tmp_path_factory.mktemp("made")
     (folder / "data").symlink_to(ROOT / "data")
     train(

@@ -1,4 +1,4 @@
-"""Figures of the pages are those of the benchmarks' results, and say when their code is newer."""
+"""Figures of the pages are those of the benchmarks' results; a note says when the code is newer."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""First mistakes of those who use it from Python: each works, or gets one clear sentence."""
+"""First mistakes of users from Python: each works, or gets one clear sentence."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from neurosim.simulators.registry import read_simulator
 
 
 class Bare(ns.Simulator):
-    """Classes without what their protocols need."""
+    """Classes that lack the methods of their protocols."""
 
     class Goal(ns.Task):
         name = "goal"

@@ -1,4 +1,4 @@
-"""Damaged files through the commands that read them: a few of what benchmarks/fuzz.py does."""
+"""Damaged files given to the commands that read them: a part of benchmarks/fuzz.py."""
 
 import json
 import random
@@ -8,7 +8,7 @@ import pytest
 from fuzz import TARGETS, case, make
 from mutations import damage
 
-#: What learns, evolves or compiles takes seconds, and is left to the benchmark.
+#: Commands that learn, evolve or compile take seconds, and only the benchmark runs them.
 QUICK = ("dataset", "build-tables", "report dataset", "view arena.json", "evaluate paper")
 
 
@@ -103,7 +103,7 @@ def test_json_that_nothing_can_work_with(made, tmp_path, text, line):
 
 
 def test_a_mutation_changes_the_file_and_says_how(tmp_path):
-    """Without that the attack would be none."""
+    """Without a change in the file there is no attack."""
     path = tmp_path / "x.json"
     whole = json.dumps({"format": "x", "a": [1, 2, 3], "b": {"c": "d"}})
     changed = 0

@@ -1,10 +1,9 @@
-"""Results that must not change by more than matters to a user, whatever computes them.
+"""Results that may change only by amounts that no user notices, whichever code computes them.
 
-``golden.json`` was written before the compiled loops became one; but for the results of motion
-networks, which were written anew by the last code in which product units could have phases and
-ceilings of their own, of networks without these. Poses agree to a micrometre, and
-fitness to what such a difference makes of it; a statistic of samples, whose random numbers may be
-others, agrees within its own scatter.
+``golden.json`` was written before the compiled loops became one. The results of motion networks
+were written later, by the last code in which product units could have phases and ceilings, of
+networks without these. Poses agree to a micrometre, and fitness to the effect of such a difference.
+A statistic of samples may use other random numbers, and agrees within its scatter.
 """
 
 import json
@@ -77,7 +76,7 @@ def spread(simulator, family, genes):
 
 
 def fitness(name):
-    """Return what a task says of random drives."""
+    """Return a task's fitness of random drives."""
     task, rng = make_task(name), np.random.default_rng(9)
     plan = Plan(slots=8)
     straight = drive_model(curved=False)
@@ -88,7 +87,7 @@ def fitness(name):
 
 
 def computed():
-    """Return all results, by name."""
+    """Return all results by name."""
     torch.set_num_threads(1)
     results = {}
     for made, simulator in simulators().items():

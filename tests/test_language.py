@@ -1,4 +1,4 @@
-"""Messages and help are plain English: some words and patterns do not come back."""
+"""Messages, help, docstrings and names are plain English: some words and patterns are errors."""
 
 import ast
 import re
@@ -20,7 +20,7 @@ DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def texts(source):
-    """Give the strings of three words or more that are no docstrings, with their lines."""
+    """Give the strings of three words or more that are not docstrings, with their lines."""
     tree = ast.parse(source)
     passed_over = set()
     for node in ast.walk(tree):
@@ -75,7 +75,7 @@ def test_docstrings():
 
 
 def names(source):
-    """Give the names that a file gives to things, and the keys of its dictionaries, with lines."""
+    """Give the names that a file defines, and the keys of its dictionaries, with their lines."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.arg):
             yield node.lineno, node.arg

@@ -1,4 +1,4 @@
-"""What is built from this folder installs and runs elsewhere."""
+"""The wheel that is built from this folder installs and runs elsewhere."""
 
 import importlib.util
 import os
@@ -50,7 +50,7 @@ def test_workflows_run_commands_that_there_are():
         (["--help"], "torch numba pandas cv2 scipy"),
         (["dataset", "--help"], "torch numba pandas cv2 scipy"),
         (["report", "--help"], "torch numba pandas cv2 scipy"),
-        # These know the robots of the virtual lab, whose body is compiled.
+        # These import the robots of the virtual lab, whose body is compiled.
         (["check-robot", "--help"], "torch"),
         (["record", "--help"], "torch"),
         (["sample", "--help"], "torch"),
@@ -107,7 +107,7 @@ def test_torch_is_a_range_and_what_is_installed_is_pinned():
                 assert "constraints.txt" in line, f"{path}: {line}"
                 installing += path.name == "Makefile"
     assert installing == 1
-    # Every other line of the Makefile that installs goes through that one.
+    # Every other line of the Makefile that installs something uses this one.
     recipes = re.findall(r"^\t\$\(INSTALL\) -e", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert len(recipes) == 3
 

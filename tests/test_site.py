@@ -1,4 +1,4 @@
-"""The site is built of the pages, the notebooks and the code; its links lead somewhere."""
+"""The site is built from the pages, the notebooks and the code; its links have targets."""
 
 import ast
 import html.parser
@@ -24,7 +24,7 @@ needs_builder = pytest.mark.skipif(not BUILDS, reason="pip install 'neurosim[doc
 
 
 class Read(html.parser.HTMLParser):
-    """What a page links to and loads, the places that links can lead to, and its text."""
+    """A page's links and loaded files, the anchors that links can have as targets, and its text."""
 
     def __init__(self, path):
         super().__init__()
@@ -170,7 +170,7 @@ def test_every_format_that_is_read_is_in_the_reference():
     declared = {name for name in read if isinstance(getattr(formats, name, None), type)}
     assert len(declared) > 12
     shown = {struct for _, _, struct in reference.FILES}
-    # Those that read a part of a file are of the same file as another one.
+    # Classes that read a part of a file belong to the same file as another class.
     parts = {"Kind", "Sampling", "TrialRecording", "Simulator"}
     assert declared - parts <= {struct.__name__ for struct in shown}
 

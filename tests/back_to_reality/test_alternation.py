@@ -62,7 +62,7 @@ def test_discrepancy_and_choice_of_similar_ones_by_hand():
     assert result == pytest.approx([0.0, 5.0])
     simulated_, real = np.array([1.0, 0.5, 0.4, 0.0]), np.array([0.9, 0.1, 0.4, 0.0])
     assert similar(simulated_, real, 2).tolist() == [0, 2]
-    # What fails in both is alike, and yet comes last.
+    # A controller that fails in both is similar, but comes last.
     assert similar(simulated_, real, 3).tolist() == [0, 1, 2]
 
 
@@ -87,13 +87,13 @@ def test_poses_apart_by_hand():
     # 0.5 m of the first, a radian of the second, and the third was not seen.
     assert poses_apart(near, real) == pytest.approx(((0.25 + HEADING_LENGTH**2) / 2) ** 0.5)
     assert poses_apart(np.full((3, 3), np.nan), real) == NOWHERE
-    # One that is lacking weighs as much as one that is far away, and hides no other.
+    # A missing pose weighs as much as one that is far away, and the others still count.
     fell = np.array([[0.3, 0.4, 0.1], [np.nan] * 3, [np.nan] * 3])
     assert poses_apart(fell, real) == pytest.approx(((0.25 + NOWHERE**2) / 2) ** 0.5)
 
 
 class Remembering(Simulated):
-    """Remembers whom it was asked for over which sets."""
+    """Remembers the individuals and the parameter sets of each call."""
 
     def __init__(self):
         super().__init__(Block(), Slide(), Push())
@@ -150,7 +150,7 @@ def test_later_searches_begin_at_the_best_in_reality_and_have_their_own_length(t
         done += [row for row in rows if row["why"].startswith((f"cycle {cycle}", "start"))]
     for begin, start in zip(begins, best, strict=True):
         np.testing.assert_allclose(asked[begin][0], np.tile(bits(np.array(start)), (15, 1)))
-    # It was L2 that came to where the second one begins.
+    # The second search begins at a result of L2.
     assert best[1] in [row["genes"] for row in rows if "1, L2" in row["why"]]
 
 
@@ -241,7 +241,7 @@ def test_ranks_of_equal_ones_are_their_mean():
 
 
 class TrackedBlock:
-    """A block that is seen after its first step only; its fitness says nothing."""
+    """A block that is seen after its first step only; its fitness is unknown."""
 
     def __init__(self, mass, friction, steps=2):
         self.block, self.steps = Block(mass, friction), steps
@@ -346,7 +346,7 @@ def test_our_choices_keep_several_sets_and_confirm_finalists(tmp_path):
 def test_a_leader_is_believed_once_it_was_tried_often_enough():
     record = Evaluations()
     record.add(np.array([[0.1], [0.2], [0.3]]), np.array([1.0, 5.0, 3.0]))
-    assert record.believed(2).fitness == 5.0  # nobody was
+    assert record.believed(2).fitness == 5.0  # none was tried twice
     record.all.append(Evaluation(np.array([0.2]), 2.6, 2))
     assert record.leader().fitness == 3.0
     assert record.believed(2).fitness == 2.6
@@ -535,7 +535,7 @@ def test_cma_of_a_single_parameter_is_refused_before_any_trial(tmp_path):
 
 
 def test_what_was_started_from_is_told_by_all_its_trials(tmp_path):
-    """Its first trial is a bad one, and nothing is better than it."""
+    """The first trial of the start is bad, and no candidate is better."""
     answers = iter([0.2, *[0.0] * 4, 0.9, 0.7])
     settings = settings_named(
         "paper", **SMALL | {"candidates": 4, "policy_steps": 0}, adapt="none", confirm=3, budget=8

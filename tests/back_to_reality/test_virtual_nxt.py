@@ -1,4 +1,4 @@
-"""The wheeled robot: its simulator is of another floor, and a few trials bring it back."""
+"""The wheeled robot: its simulator has another floor, and a few trials adapt it to reality."""
 
 import json
 import math
@@ -34,7 +34,7 @@ COMMANDS = ((40.0, 40.0, 1.5), None, (30.0, -30.0, 0.6), (40.0, 36.0, 1.2))
 
 
 def nxt(forward=1.0, turn=1.0, yaw=0.0):
-    """Return a simulator of the lab's typical robot, on a floor where it moves otherwise."""
+    """Return a simulator of the lab's typical robot on a floor where it moves differently."""
     wheel, track = 0.25, 0.13  # m/s at 50 %, m
     kinematics = [[0.5 * wheel, 0.0, sign * wheel / track] for sign in (-1.0, 1.0)]
     other = torch.tensor([[forward, 0.0, yaw], [0.0, 1.0, 0.0], [0.0, 0.0, turn]]).double()
@@ -64,7 +64,7 @@ def test_a_trial_is_judged_and_tracked():
     assert np.array_equal(result.poses, again.poses, equal_nan=True)
     assert np.isnan(result.poses).all(axis=1).tolist() == [False, True, False, False, False]
     assert result.fitness == pytest.approx(1 - 0.2)  # the first rectangle, with the first command
-    # 20 cm/s, and to the right by 2.3 rad/s for 0.6 s, but for lags.
+    # 20 cm/s, and 2.3 rad/s to the right for 0.6 s; the lags take some of both.
     x, y, heading = TASK.start
     assert result.poses[0] == pytest.approx([x, y + 0.28, heading], abs=0.03)
     assert result.poses[0, 2] - result.poses[2, 2] == pytest.approx(1.15, abs=0.2)
@@ -102,7 +102,7 @@ def test_a_network_is_tracked_at_every_step():
 
 
 def write_plan(folder):
-    """Write COMMANDS as a plan of which nothing is expected."""
+    """Write COMMANDS as a plan without predictions."""
     start = list(TASK.start)
     predicted = {"poses": [start] * 4, "rest": start, "fitness": 0.0, "completes": False}
     plan = FixedPlan(COMMANDS)
@@ -110,7 +110,7 @@ def write_plan(folder):
 
 
 class Wheels(IdealWheels):
-    """Wheels with a parameter; from the second command on nothing is known of them."""
+    """Wheels with a parameter; from the second command on the pose is NaN."""
 
     def __init__(self, scale=1.0):
         self.scale = scale
@@ -162,7 +162,7 @@ def test_another_network_in_the_same_folder_is_not_gone_on_with(tmp_path):
 
 
 def test_the_best_plan_may_blow_up_in_the_simulator(tmp_path):
-    """It is written with where it was expected last."""
+    """It is written with the last pose that was predicted."""
     genes = FAMILY.encode(COMMANDS)
     run_in_wheels(tmp_path / "out", lambda row: float((row == genes).all()), genes)
     saved = read_controller(tmp_path / "out" / "controller")

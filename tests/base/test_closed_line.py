@@ -1,4 +1,4 @@
-"""Closed lines: lengths by hand, the nearest point by brute force, poses that lie on them."""
+"""Closed lines: lengths by hand, the nearest point by brute force, poses on the line."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Declared types: what is refused, in which words, and that every setting with a range keeps it."""
+"""Declared types: values that are errors, their messages, and the range of every setting."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_arguments_are_checked():
 
 
 def declared():
-    """Return every class of settings that options are made of."""
+    """Return every class of settings from which options are made."""
     results = {}
     for command in cli.commands.values():
         groups = command._groups if isinstance(command, SettingsCommand) else []

@@ -1,4 +1,4 @@
-"""Drawings become places: numbers by hand, transforms, layers, and what is refused."""
+"""Drawings become places: numbers by hand, transforms, layers, and drawings that are errors."""
 
 import math
 import re
@@ -113,7 +113,7 @@ def test_circles_of_any_element_and_other_obstacles(tmp_path):
         (0.35, -0.3, 0.25, -0.3),
         (0.25, -0.3, 0.25, -0.25),
     )
-    assert len(place.walls) > 4 + 30  # an ellipse is no circle
+    assert len(place.walls) > 4 + 30  # an ellipse, not a circle
 
 
 def test_a_round_rectangle_is_a_line_of_its_length(tmp_path):
@@ -123,7 +123,7 @@ def test_a_round_rectangle_is_a_line_of_its_length(tmp_path):
     assert line.loop.length == pytest.approx(wanted.loop.length, rel=1e-3)
     away, _ = wanted.loop.nearest(line.points)
     assert away.max() < 1e-3
-    assert line.width == wanted.width  # nothing says how wide it is
+    assert line.width == wanted.width  # its width is not given
 
 
 OUTLINE = '<rect id="outline" width="100" height="100"/>'
@@ -196,7 +196,7 @@ def test_sizes_that_cannot_be_are_refused(box, inside, words, tmp_path):
 
 
 def test_small_circles_stay_round(tmp_path):
-    """Steps of a curve may be shorter than what counts as one point."""
+    """Steps of a curve may be shorter than the distance below which two points count as one."""
     size = 'width="100cm" height="80cm" viewBox="0 0 1000 800"'
     place = place_of(tmp_path, '<circle id="obstacle" cx="100" cy="100" r="8"/>', size)
     assert place.obstacles[0][2] == pytest.approx(0.008, abs=2e-4)

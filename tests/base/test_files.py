@@ -234,7 +234,7 @@ def test_a_temporary_name_follows_no_link_and_cannot_be_foreseen(tmp_path):
             names.add(partial.name)
             assert partial.suffix == ".json"
     assert len(names) == 3
-    # Where a link stands at a name that is drawn, another one is.
+    # Where a link has a random name already, another name is used.
     (tmp_path / "mine").write_text("mine")
     sampled = iter(["taken", "free"])
     (tmp_path / ".a.taken.partial.json").symlink_to(tmp_path / "mine")
@@ -256,9 +256,7 @@ def test_what_a_killed_program_left_is_removed_after_a_day(tmp_path, kind):
     with getattr(files, kind)(place) as partial:
         assert not left.exists()
         (partial / "whole" if partial.is_dir() else partial).write_text("whole")
-    assert sorted(tmp_path.iterdir()) == sorted(
-        [own, place]
-    )  # another program may be at work there
+    assert sorted(tmp_path.iterdir()) == sorted([own, place])  # another program may be using it
 
 
 def test_a_folder_that_was_moved_aside_is_put_back(tmp_path):

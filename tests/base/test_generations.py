@@ -1,4 +1,4 @@
-"""The loop that runs generations, and what it does when it is asked to end."""
+"""The loop that runs generations, and how it ends when it is interrupted."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ from neurosim.loop.evaluate import Fitness
 
 
 class Counting:
-    """Counts generations; calls what is given in the one of this number."""
+    """Counts generations; calls a function in the generation of a given number."""
 
     def __init__(self, at=0, then=None):
         self.done, self._at, self._then = 0, at, then
@@ -40,7 +40,7 @@ def send(*numbers):
 
 @pytest.fixture
 def handlers():
-    """Put back how signals are handled."""
+    """Restore the signal handlers."""
     before = {number: signal.getsignal(number) for number in SIGNALS}
     yield
     for number, handler in before.items():
@@ -139,7 +139,7 @@ def test_a_first_generation_that_takes_long_says_why(monkeypatch, capsys):
 
 
 class Sleeps:
-    """Stands for an evaluator that takes a while."""
+    """Takes the place of a slow evaluator."""
 
     controller = SimpleNamespace(genes=2)
 

@@ -1,4 +1,4 @@
-"""What asks a program to end, and when that is answered."""
+"""Signals that ask a program to end, and when it ends."""
 
 import contextlib
 import importlib
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows has other si
 
 @pytest.fixture(autouse=True)
 def handlers():
-    """Answer signals as the command line does, and put back what was."""
+    """Handle signals as the command line does, and restore the handlers afterwards."""
     numbers = [*SIGNALS, signal.SIGTSTP]
     before = {number: signal.getsignal(number) for number in numbers}
     answer_signals()
@@ -113,7 +113,7 @@ def test_an_interruption_is_found_however_often_it_is_wrapped():
     assert interruption_in(SystemError("of its own")) is None
     other = SystemError("of its own")
     other.__cause__ = ValueError()
-    other.__cause__.__context__ = inner  # of an error that was handled long before
+    other.__cause__.__context__ = inner  # belongs to an error that was handled earlier
     assert interruption_in(other) is None
 
 
@@ -191,7 +191,7 @@ with interrupts.deferred_interrupt():
     time.sleep(30)
 """
 
-#: A generation whose loops are compiled is not waited for.
+#: The process ends without waiting for a generation whose loops are compiled.
 COMPILING = """
 from numba.core.compiler_lock import global_compiler_lock
 interrupts.LONGEST = 1000.0
@@ -200,14 +200,14 @@ with interrupts.deferred_interrupt(), global_compiler_lock:
     time.sleep(30)
 """
 
-#: Machine code runs for minutes, and Python no handler of signals.
+#: Machine code runs for minutes; Python calls no signal handler meanwhile.
 DEAF = """
 import hashlib, threading
 threading.Timer(0.2, send, (signal.SIGTERM,)).start()
 hashlib.pbkdf2_hmac("sha256", b"", b"", 300_000_000)
 """
 
-#: As Numba's compiler, which calls Python from machine code: what is raised there is printed.
+#: Like Numba's compiler, which calls Python from machine code: exceptions there are only printed.
 CALLBACK = """
 called = ctypes.CFUNCTYPE(None)(lambda: send(signal.SIGHUP))
 try:
@@ -280,7 +280,7 @@ def test_what_was_asked_is_not_forgotten_at_the_end(monkeypatch, capsys):
         main_module.main()
     assert stop.value.code == 128 + signal.SIGTERM
     assert capsys.readouterr().err == f"{INTERRUPTED}\n"
-    assert signal.getsignal(signal.SIGTERM) != signal.SIG_IGN  # this process goes on
+    assert signal.getsignal(signal.SIGTERM) != signal.SIG_IGN  # this process continues
 
 
 @pytest.mark.parametrize("asked", [False, True])

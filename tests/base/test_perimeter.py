@@ -1,4 +1,4 @@
-"""Where the guard ends a drive: hand-worked places, and against a slow, plain version."""
+"""Where the guard ends a drive: by hand-worked positions, and by a slow, plain version."""
 
 import math
 from dataclasses import asdict, replace
@@ -60,7 +60,7 @@ def test_a_robot_that_turns_on_the_spot_sweeps_its_sensors_over_the_line():
 def test_nothing_ends_where_nothing_is_guarded_or_known():
     free = Perimeter(Board(2.0, 1.0, line_width=0.0), SENSORS, margin=None)
     assert end(free, (0, 0, 0), (0.9, 0, 0))[0] == 0
-    assert end(free, (0, 0, 0), (0.97, 0, 0))[0] == LINE  # the floor is not the bare board
+    assert end(free, (0, 0, 0), (0.97, 0, 0))[0] == LINE  # beyond the board
     assert end(Perimeter(BOARD, SENSORS), (0, 0, 0), (math.nan, 0, 0))[0] == 0
 
 
@@ -97,7 +97,7 @@ def test_no_line_is_passed_over(before, displacement):
     ends = slowly(perimeter, before, after, 1.0)
     if code:
         assert ends.any()
-    # A corner of the line may be cut between two checks, a longer way on it may not be missed.
+    # A corner of the line may be cut between two checks; a longer stretch on it must be noticed.
     moved = se2.between(np.array(before), after)
     distance = float(se2.arc_length(moved)) + math.hypot(*SENSORS[0]) * abs(moved[2])
     longest = max((len(list(run)) for on, run in groupby(ends) if on), default=0)
@@ -106,7 +106,7 @@ def test_no_line_is_passed_over(before, displacement):
 
 
 def test_a_sensor_that_begins_beyond_the_edge_is_not_passed_over():
-    """The right sensor is 1 mm beyond, and inside again after 6 of 63 mm."""
+    """The right sensor is 1 mm beyond it, and inside again after 6 mm of 63 mm."""
     perimeter = Perimeter(BOARD, SENSORS, margin=None)
     before = (0.0, -0.42578125, -1.75)
     after = se2.compose(np.array(before), np.array([0.0, -0.0625, 0.0]))

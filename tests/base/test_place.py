@@ -1,4 +1,4 @@
-"""Places survive the disk; what cannot be is refused; distances by hand."""
+"""Places are written and read; impossible ones are errors; distances by hand."""
 
 import json
 import math
@@ -88,7 +88,7 @@ def test_clearance_and_starts():
     assert arena.clearance([0.29, 0.0]) == pytest.approx(0.01)
     assert arena.clearance([0.31, 0.0]) == -math.inf
     assert Place().clearance([5.0, 0.0]) == math.inf
-    # In the middle of a wall of a centimetre it is half a centimetre to its surface.
+    # In the middle of a wall of 1 cm the distance to its surface is 0.5 cm.
     assert ALL.clearance([-0.15, 0.0]) == pytest.approx(-0.005)
     with pytest.raises(UserError, match=r"x 0\.0 cm, y 0\.0 cm: it would stand in a wall or an"):
         arena.check_start((0, 0, 0), 0.0275)
@@ -114,7 +114,7 @@ def test_inside_a_polygon_with_a_bay():
 
 
 def test_what_is_free_is_on_the_left_of_a_surface():
-    """Whichever way round an outline is given, and on all sides of a wall inside."""
+    """This holds for both orders of an outline's corners, and on all sides of a wall inside."""
     square = paper_arena().outline
     wall = ((-0.2, -0.1, -0.1, 0.1),)
     for outline in (square, square[::-1]):
@@ -133,7 +133,7 @@ def test_an_open_line_leads_there_and_back():
     bent = Line(((0, 0), (1, 0), (1, 2)), closed=False)
     assert bent.loop.length == pytest.approx(6.0)
     away, _ = bent.loop.nearest([[0.5, 0.3], [0.4, 1.0], [-0.3, 0.4]])
-    assert away == pytest.approx([0.3, 0.6, 0.5])  # not of the side from its end to its beginning
+    assert away == pytest.approx([0.3, 0.6, 0.5])  # there is no side from its end to its beginning
     straight = Line(((0, 0), (1, 0)), closed=False)
     assert straight.loop.nearest([[2.0, 0.0], [0.5, 0.2]])[0] == pytest.approx([1.0, 0.2])
     assert straight.shapes() == [{"polygon": [[0, 0], [1, 0]], "width": 0.04}]

@@ -16,7 +16,7 @@ from neurosim.base.provenance import is_virtual
         ({"virtual_lab": None, "robot": {"kind": "nxt", "virtual": True}}, True),
         ({"robots": [{"virtual": False}, {"virtual": True}]}, True),
         ({"robots": [{"kind": "nxt", "virtual": False}]}, False),
-        # A name is no proof: anybody may call a robot so.
+        # A name proves nothing: anybody may give a robot this name.
         ({"robot": {"name": "virtual"}}, None),
         ({"source": [{"path": "a"}, {"path": "b", "virtual": True}]}, True),
         ({"source": [{"path": "virtual.sample"}]}, None),

@@ -46,7 +46,7 @@ def test_a_script_registers_by_one_call_or_as_a_decorator(shapes):
 
     assert shapes.get("pair") is pair
     assert shapes.make("pair", {"a": 1}) == (1, 2)
-    # Once more is what the last call says, so that a notebook's cell can be run again.
+    # A second call replaces the first, so that a notebook's cell can be run again.
     shapes.register("round", 2.5)
     assert shapes.get("round") == 2.5
 
@@ -54,7 +54,7 @@ def test_a_script_registers_by_one_call_or_as_a_decorator(shapes):
 def test_other_packages_offer_theirs_by_entry_points(shapes):
     assert shapes.get("turn") is math.tau
     assert shapes.names() == ["half", "base", "broken", "empty", "root", "turn"]
-    # What a script registers goes before what is installed.
+    # A script's entry has precedence over an installed package's.
     shapes.register("turn", 1)
     assert shapes.get("turn") == 1
     assert shapes.names().count("turn") == 1

@@ -80,7 +80,7 @@ def test_the_length_of_a_half_circle_and_of_what_no_arc_leads_to():
     assert se2.arc_length([0.1, 0, 2 * math.pi]) > 1e12
 
 
-# What compiled code calls, compiled as a part of its caller.
+# The functions that compiled code calls, compiled as a part of their caller.
 
 
 @njit

@@ -1,4 +1,4 @@
-"""Sharing work out to cores."""
+"""Work distributed to cores."""
 
 import threading
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Trajectories: their times, and how one is made of a track."""
+"""Trajectories: their times, and a trajectory made from a track."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What tests of the command line fraction."""
+"""Fixtures of all tests of the command line."""
 
 import math
 import sys
@@ -15,7 +15,7 @@ __all__ = ["pipeline", "refused"]
 def refused(tmp_path, monkeypatch, capsys):
     """Run a command that must fail in the folder of the test; return its one sentence."""
     monkeypatch.chdir(tmp_path)
-    # What takes long says so on stderr, too; here the one sentence is looked at.
+    # Slow commands print their progress on stderr, too; only the one sentence is checked.
     monkeypatch.setattr("neurosim.base.progress.LINE_EVERY", math.inf)
 
     def run(*words) -> str:

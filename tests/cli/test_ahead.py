@@ -1,4 +1,4 @@
-"""What a demo compiles ahead, in another process."""
+"""The demo compiles functions ahead of their use, in another process."""
 
 import shutil
 import subprocess

@@ -72,7 +72,7 @@ def test_our_own_choices_are_the_default(neurosim, tmp_path):
 
 
 def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monkeypatch):
-    """A person types what came out; after three trials the terminal is closed."""
+    """A person types the results; after three trials the terminal is closed."""
     answers = iter(["0.1", "fast", "nan", "0.2", "0.3"])
 
     def typed():
@@ -100,7 +100,7 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
 
 
 def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
-    """A file does not choose what is driven."""
+    """A file does not choose the robot that is driven."""
 
     class Robot:
         def __init__(self, controller):

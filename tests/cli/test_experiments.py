@@ -1,4 +1,4 @@
-"""``neurosim pipeline``: what a file can say, what is done once, what is done again."""
+"""``neurosim pipeline``: its file, stages that are done once, and stages that are repeated."""
 
 import csv
 import json
@@ -35,7 +35,7 @@ def pipeline(*words):
 
 
 def write(path, text, rows=20):
-    """Write an experiment and the rows that its dataset is made of."""
+    """Write an experiment and the rows of its dataset."""
     path.write_text(text)
     numbers = np.random.default_rng(rows).uniform(-1, 1, (rows, 5)).round(3)
     lines = [",".join(map(str, [*row, 1.0])) for row in numbers]
@@ -179,7 +179,7 @@ def test_a_stage_is_done_again_if_it_or_its_input_changed(tmp_path):
     first, output = pipeline(file)
     assert (output.count("$ neurosim"), outs(first)) == (2, {"dataset": "dataset", "copy": "copy"})
     kept = (tmp_path / "moves" / "dataset" / "dataset.csv").read_bytes()
-    # An option of the second stage alone.
+    # An option that only the second stage has.
     write(file, MOVES.replace('length = "m"', 'length = "cm"'))
     second, output = pipeline(file)
     assert "dataset: done before" in output

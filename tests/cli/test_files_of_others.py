@@ -1,4 +1,4 @@
-"""Artefacts that came from somebody else, and were made to do harm."""
+"""Artefacts from somebody else that were made to do harm."""
 
 import ast
 import json
@@ -40,13 +40,13 @@ def listener():
 
 
 def recording(folder, options):
-    """Make a recording of a Khepera that asks for more, as one sent by somebody else."""
+    """Make an unfinished recording of a Khepera, such as somebody else could send."""
     about = _wanted(Khepera("x"), None, RandomCommands(), RecordSettings(3))
     return Recording.create(folder, {**about, "options": {"commands": 3, **options}})
 
 
 def made(command, folder, options):
-    """Make what a command resumes, begun with these options; return the command's words."""
+    """Make the folder that a command resumes, with these options; return the command's words."""
     if command == "record":
         recording(folder / "r", options)
         return ["record", "r", "--resume"]
@@ -84,7 +84,7 @@ def test_a_file_does_not_choose_the_camera(refused, tmp_path, listener):
     url = f"http://127.0.0.1:{listener.getsockname()[1]}/x.avi"
     made("record", tmp_path, {"robot": "virtual", "camera": url})
     made("sample", tmp_path, {"robot": "virtual-khepera", "camera": url, "calibration": "c.json"})
-    # Neither is opened: the virtual lab's own is taken, and of sampling none is left.
+    # Neither is opened: recording uses the virtual lab's own camera, and sampling uses none.
     assert "was recorded with another robot.kind" in refused("record", "r", "--resume")
     refused("sample", "s", "--resume")
     with pytest.raises(BlockingIOError):
@@ -202,7 +202,7 @@ def test_a_lock_is_a_plain_file_or_refused(precious, tmp_path, put):
     "write", [open_own, lambda path: open_own(path, "wb"), _open_lines, _open_objects]
 )
 def test_what_grows_in_place_does_not_lead_elsewhere(precious, tmp_path, put, write):
-    precious.write_text("")  # so that nothing is wrong with what it says
+    precious.write_text("")  # so that its content is valid
     put(tmp_path / "log", precious)
     with pytest.raises(UserError, match="log"):
         write(tmp_path / "log")
@@ -217,15 +217,15 @@ def test_a_new_video_does_not_lead_elsewhere(precious, tmp_path):
     assert precious.read_text() == "mine\n"
 
 
-#: Functions that write where they are pointed to, and where they may be called: in a folder or at a
-#: path that ``atomic_path`` or ``new_folder`` made, or behind ``open_own``.
+#: Functions that write to a path that they are given, and where they may be called: in a folder or
+#: at a path that ``atomic_path`` or ``new_folder`` made, or after ``open_own``.
 _WRITERS = {
     "neurosim/base/files.py": {"write_text", "write_bytes", "open"},
     "neurosim/back_to_reality/run.py": {"copyfile"},
     "neurosim/lab/camera/photographs.py": {"imwrite"},
     "neurosim/recording/record.py": {"copyfile"},
     "neurosim/reports/film.py": {"VideoWriter"},
-    "neurosim/robots/nxt/link.py": {"open"},  # the device of the line
+    "neurosim/robots/nxt/link.py": {"open"},  # the line's device file
     "neurosim/simulators/export.py": {"write_bytes", "save"},
     "neurosim/simulators/tables/samples.py": {"write_bytes"},
     "tracking/camera/cameras.py": {"VideoWriter"},
@@ -237,7 +237,7 @@ _NAMES = {"write_bytes", "copyfile", "copytree", "imwrite", "VideoWriter", "to_c
 
 
 def _calls_that_write(path):
-    """Give the names of functions that a source calls and that write where they are pointed to."""
+    """Give the names of the functions in a source that write to a path that they are given."""
     for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(call, ast.Call):
             continue
@@ -247,7 +247,7 @@ def _calls_that_write(path):
         given = [*call.args[:2], *(k.value for k in call.keywords if k.arg == "mode")]
         modes = {v.value for v in given if isinstance(v, ast.Constant) and isinstance(v.value, str)}
         opens = name == "open" and any(re.fullmatch(r"[wax]b?\+?|r\+b?", mode) for mode in modes)
-        # Of a path, not ours of neurosim.base.files, nor a help page's.
+        # A method of a path, not of neurosim.base.files or of a help formatter.
         writes = method and name == "write_text" and owner not in ("files", "formatter")
         others = (name, owner) in {("save", "export"), ("move", "shutil")}
         if name in _NAMES or opens or writes or others:

@@ -1,4 +1,4 @@
-"""Commands that are killed (-9) at random moments lose nothing and are gone on with."""
+"""Commands that are killed (-9) at random moments lose nothing and can be continued."""
 
 import csv
 import importlib.util
@@ -22,7 +22,7 @@ pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="Windows has no kill -9"),
 ]
 
-#: So many kills of each command.
+#: How often each command is killed.
 KILLS = int(os.environ.get("NEUROSIM_KILLS", "4"))
 
 #: Runs commands, each in a process of its own that has imported everything already.
@@ -67,7 +67,7 @@ class Zygote:
         )
 
     def run(self, folder, *words, after=None):
-        """Run a command in a folder, killed after so many seconds; return its code and seconds."""
+        """Run a command in a folder, killed after some seconds; return exit code and seconds."""
         folder.mkdir(exist_ok=True, parents=True)
         asked = {"cwd": str(folder), "words": [str(word) for word in words], "after": after}
         self._process.stdin.write(json.dumps(asked) + "\n")
@@ -108,16 +108,17 @@ def whole_lines(folder, name):
 
 
 def killed(zygote, tmp_path, words, logs, rest_of, seed):
-    """Kill a command at random moments, have each go on, and hold its logs to a whole run's.
+    """Kill a command at random moments, continue each, and compare its logs with a whole run's.
 
-    What was written when it was killed is what the whole run began with, and stays.
+    The rows written before a kill are the first rows of the whole run, and are kept.
 
     Args:
         zygote: runs commands.
         tmp_path: a folder for each run.
         words: the command, up to its output folder.
         logs: names of files that only grow.
-        rest_of: of an output folder that was left: the words to go on with, the folder first;
+        rest_of: gives, for an output folder that was left, the words that continue, the folder
+            first;
             None: everything is there.
         seed: of the moments.
 
@@ -144,7 +145,7 @@ def killed(zygote, tmp_path, words, logs, rest_of, seed):
 
 
 def resumed(made):
-    """Return the words to go on with of a command that resumes what it has begun."""
+    """Return the words that continue a command that resumes its own folder."""
     return ["out", "--resume"] if made else ["out"]
 
 
@@ -176,7 +177,7 @@ def test_a_recording(zygote, calibration, tmp_path):
         if recording.sessions == 1:
             assert whole_lines(folder, "commands.csv") == whole_lines(whole, "commands.csv")
         assert recording.is_tracked, after
-        # Of each session in which a command was sent.
+        # For each session in which a command was sent.
         sessions = {line.session for line in recording.commands().itertuples() if line.is_motor}
         assert set(recording.poses().session) == sessions, after
 
@@ -221,7 +222,7 @@ def test_a_trial(zygote, calibration, tmp_path):
         content = json.loads((trial / "trial.json").read_text())
         return {name: content[name] for name in ("commands", "start", "actual", "errors")}
 
-    # A trial does not go on: it is made again, elsewhere, and the same.
+    # A trial cannot be continued: it is repeated in another folder, with the same result.
     for whole, folder, after in killed(
         zygote, tmp_path, words, ["commands.csv"], lambda out: ["again"], 2
     ):
@@ -256,5 +257,5 @@ def test_back_to_reality(zygote, tmp_path):
         assert not (folder / "out.checkpoint").exists()
 
 
-#: What says when and how long.
+#: Columns of times and durations.
 VOLATILE = ("created", "seconds", "versions")

@@ -13,9 +13,9 @@ from neurosim.cli._options import SettingsCommand
 from neurosim.cli._types import UNDECLARED, Listed, Numbers
 from neurosim.cli.main import cli
 
-#: What no quantity of this program can be.
+#: Values that no quantity of this program can have.
 IMPOSSIBLE = ("nan", "inf", "-inf", "1e308", "-1e308", str(2**67), str(-(2**67)), "1e20")
-#: What some can be, and few of them.
+#: Values that few quantities can have.
 UNUSUAL = ("-1", "0", "1e-320", "1e-9")
 
 
@@ -32,7 +32,7 @@ def numbers_of(kind):
 
 
 def options_of(command):
-    """Give each option of a command with the words that choose the thing that has it."""
+    """Give each option of a command with the words that choose the object to which it belongs."""
     yield from (((), each) for each in command.params)
     if not isinstance(command, SettingsCommand):
         return

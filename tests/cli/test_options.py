@@ -1,4 +1,4 @@
-"""Options made of settings classes, drivers and functions; those of what is chosen alone."""
+"""Options made from settings classes, drivers and functions; only those of the chosen object."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_an_option_of_the_same_name_as_another_is_named_after_its_choice():
     assert given["log"] == "mine"
     assert given["options"] == {"depth": 1, "log": "its"}
     assert given["more"] == {"pace": 2}
-    # Two groups that both have steps: the first has the name.
+    # Two groups that both have steps: the first one gets the short name.
     given = run(*swim, "--steps", "5", "--more-steps", "6")
     assert (given["options"]["steps"], given["more"]["steps"]) == (5, 6)
     assert "--more-steps INTEGER How many steps. [default: 99] [1<=x<=1000000]" in help_of(*swim)

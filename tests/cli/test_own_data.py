@@ -22,7 +22,7 @@ def block(language, place=0):
 
 
 def neurosim(*words):
-    """Run a command; return its JSON and what it said on stderr, but for progress."""
+    """Run a command; return its JSON and its stderr without progress."""
     done = CliRunner().invoke(cli, [*map(str, words), "--json"])
     assert done.exit_code == 0, f"{done.output}{done.exception!r}"
     lines = done.stderr.splitlines(keepends=True)
@@ -99,7 +99,7 @@ ROWS = "a,duration,dx,dy,dtheta\n" + "".join(f"{n},1,0.1,0,{n}\n" for n in range
 
 @pytest.fixture
 def refused(refused):
-    """Import a file of a text, which must fail; return the one sentence."""
+    """Import a file with this text, which must fail; return the one sentence."""
 
     def run(text, *words) -> str:
         Path("my.csv").write_bytes(text if isinstance(text, bytes) else text.encode())

@@ -30,7 +30,7 @@ def test_tracked_poses_are_where_the_robot_was(pipeline):
     truth = read_truth(pipeline / "recording")
     seen = poses.quality > 0
     assert seen.mean() > 0.99
-    # Poses are on the clock of what was sent; the radio carries it some 20 ms later.
+    # Poses are on the clock of the sent commands; the radio delivers these some 20 ms later.
     error = (poses.pose - truth.pose_at(poses.time + 0.022))[seen]
     error[:, 2] = np.remainder(error[:, 2] + np.pi, 2 * np.pi) - np.pi
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 0.004
@@ -38,7 +38,7 @@ def test_tracked_poses_are_where_the_robot_was(pipeline):
 
 
 def test_without_the_flashes_the_motion_gives_the_clock(pipeline, tmp_path):
-    """Commands count as answered at once: the clock is behind by the radio's 20 ms, no more."""
+    """Commands count as carried out at once: the clock is late by the radio's 20 ms, no more."""
     recording = tmp_path / "recording"
     shutil.copytree(pipeline / "recording", recording)
     message = neurosim("track", recording, "--sync", "motion", "--json", cwd=tmp_path).stdout
@@ -141,7 +141,7 @@ def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path
     assert recording.sessions == 2
     neurosim("track", "killed", cwd=tmp_path)
     made = json.loads(neurosim("dataset", "killed", "-o", "d", "--json", cwd=tmp_path).stdout)
-    # The command that was under way is sent again; some frames before the kill may be lost.
+    # The interrupted command is sent again; some frames before the kill may be lost.
     assert made["rows"] >= 56
     neurosim("train", "d", "-o", "s", "--members", 2, cwd=tmp_path)
     assert (tmp_path / "s" / "simulator.json").exists()

@@ -25,7 +25,7 @@ from neurosim.trials.floor import OnFloor
 
 
 def call(*words):
-    """Run a command; errors that a user can cause come out as they are."""
+    """Run a command; a UserError is raised unchanged."""
     done = CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done
@@ -133,7 +133,7 @@ def test_a_robot_samples_a_light_and_drives_to_it(tmp_path):
     call("report", tmp_path / "sim", "-o", tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert "Light sensors: their highest reading" in page
-    # In a place with another size of obstacle its likeness is named.
+    # In a place whose obstacles have another size, the most similar one is named.
     odd = Place.rectangle(0.6, 0.5, [(0.1, 0.1, 0.02)])
     odd.write(tmp_path / "odd.json")
     done = call(
@@ -289,7 +289,7 @@ def test_view(folder):
     assert 0 < result["fitness"] <= result["steps"] == 50
     picture = imread(out)
     assert picture.shape[1] > 800
-    blue = (picture[..., 2] > 0.55) & (picture[..., 0] < 0.1)  # the path's colour
+    blue = (picture[..., 2] > 0.55) & (picture[..., 0] < 0.1)  # the colour of the path
     assert blue.sum() > 500
     call("view", folder / "arena.json", "-o", folder / "empty.svg")
     assert (folder / "empty.svg").read_text().startswith("<?xml")
@@ -452,7 +452,7 @@ def test_a_network_drives_a_khepera_on_its_own_and_the_report_shows_its_path(fol
     assert trial["kind"] == "network"
     assert trial["virtual"] is True
     assert trial["actual"]["seen_by"] == "counters"
-    # The counters' path is of the commands that were driven: half the sum of the wheels' ways.
+    # The counters' path belongs to the driven commands: half the sum of the wheels' distances.
     path, commands = np.array(trial["actual"]["path"]), np.array(trial["commands"])
     assert len(commands) == 50
     assert len(path) == 52

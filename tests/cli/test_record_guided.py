@@ -74,7 +74,7 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipel
         commands_sampled = [source.command(8 * number + k) for k in range(8)]
         assert command in [list(c.row) for c in commands_sampled]
     for recording in recordings:
-        truth = read_truth(recording.path, recording.sessions)  # a killed session has none
+        truth = read_truth(recording.path, recording.sessions)  # a killed session leaves none
         place = np.abs(truth.poses[:, :2])
         assert (place < [BOARD.length / 2, BOARD.width / 2]).all()
 

@@ -1,4 +1,4 @@
-"""What a user can get wrong: one clear sentence on stderr, exit code 1, nothing half-written."""
+"""Mistakes of users: one clear sentence on stderr, exit code 1, and nothing half-written."""
 
 import json
 import os
@@ -28,7 +28,7 @@ posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device f
 
 @pytest.fixture
 def copy(pipeline, tmp_path):
-    """Copy parts of the pipeline that was walked into the folder of the test."""
+    """Copy parts of the finished pipeline into the folder of the test."""
 
     def make(name: str):
         target = tmp_path / name
@@ -124,7 +124,7 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     assert stop.value.code == 1
     assert "stopped answering" in message
     assert "Traceback" not in message
-    # What was recorded is there, and goes on.
+    # The recording is kept, and is continued.
     from tracking.datasets.recordings import Recording
 
     assert len(Recording(tmp_path / "r").commands())
@@ -223,7 +223,7 @@ def test_markers_that_the_virtual_robot_does_not_carry(refused):
 @posix
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_closed_terminal_stops_the_motors(tmp_path, name):
-    """A robot that runs on in real time in this process, recorded by another one."""
+    """A robot that runs in real time in this process, recorded by another process."""
     import signal
     import subprocess
 
@@ -246,7 +246,7 @@ def test_a_closed_terminal_stops_the_motors(tmp_path, name):
         assert child.returncode == 128 + getattr(signal, name)
         assert "interrupted" in stderr
         assert "Traceback" not in stderr
-        # In the lab's time, which lags behind on a busy computer.
+        # In the lab's time, which is late on a busy computer.
         now = rig.lab.clock.now()
         rig.lab.clock.sleep_until(now + 0.7)
         at_rest = turned(rig)
@@ -390,7 +390,7 @@ def test_a_video_that_was_cut_short(refused, copy, monkeypatch, capsys):
     message = refused("track", "recording")
     assert "video-001.avi ends after" in message
     assert "--partial" in message
-    # As far as it goes it can be used.
+    # The part that exists can be used.
     monkeypatch.setattr(sys, "argv", ["neurosim", "track", "recording", "--partial", "--json"])
     main()
     capsys.readouterr()
@@ -584,7 +584,7 @@ def test_settings_that_cannot_be(refused, tmp_path, words, says):
 
 
 def test_a_demo_goes_on_where_it_stopped(tmp_path):
-    """What stands is not done again; an interrupted trial is kept, and driven anew."""
+    """Finished stages are not repeated; an interrupted trial is kept, and driven again."""
     from neurosim.cli.demo import _steps
 
     for name in ("photographs", "dataset", "simulator", "controller", "trial", "replanned"):

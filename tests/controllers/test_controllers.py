@@ -1,4 +1,4 @@
-"""Controllers survive the disk, and what is wrong with a file is named."""
+"""Controllers are written and read; an error names the mistake in a file."""
 
 import json
 import math
@@ -216,11 +216,11 @@ def test_a_network_without_hidden_units_by_hand():
 @pytest.mark.parametrize(
     ("pose", "goal", "polar"),
     [
-        # Ahead to the left, and to be left facing back.
+        # Ahead to the left, with a final heading of half a turn.
         ((0.0, 0.0, 0.0), (1.0, 1.0, math.pi), (2**0.5, math.pi / 4, 3 * math.pi / 4)),
-        # Behind to the left: straight behind after a turn to the right.
+        # Behind to the left: a turn to the right puts it straight behind.
         ((0.0, 0.0, 0.0), (-1.0, 1.0, 0.0), (-(2**0.5), -math.pi / 4, math.pi / 4)),
-        # Straight behind in another frame, the same heading some turns on.
+        # Straight behind in another frame, with the same heading plus whole turns.
         ((2.0, 1.0, math.pi / 2), (2.0, 0.7, 4.5 * math.pi), (-0.3, 0.0, 0.0)),
         ((2.0, 1.0, 1.0), (2.0, 1.0, 1.5), (0.0, 0.0, 0.5)),
     ],

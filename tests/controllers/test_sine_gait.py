@@ -34,7 +34,7 @@ def test_commands_are_whole_positions_within_the_limits_as_angles():
 
 
 def test_a_trial_begins_and_ends_in_the_crouch():
-    """Half of the way after half a second, and one second before the end."""
+    """It is halfway after half a second, and one second before the end."""
     gait = SineGait(seconds=12.0)
     genes = gait.from_named(VALUES | {"amp": 0.0})[None]
     result = gait.over(genes, np.array([0.0, 12.0, 0.5, 11.0, 6.0]))[0]

@@ -1,4 +1,4 @@
-"""Environments: what Gymnasium and learners expect, and what the loop says of the same trial."""
+"""Environments: the interface of Gymnasium and learners, and the loop's result for each trial."""
 
 import math
 import warnings
@@ -160,7 +160,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     judged, trajectory = evaluator.judge(np.zeros((1, 0)), Draws(starts, member, numbers))
     driven = trajectory.poses[0, 0]
     np.testing.assert_allclose(driven[:steps], poses[:steps], atol=1e-4)
-    if truncated:  # with the motors run down
+    if truncated:  # after the motors have stopped
         np.testing.assert_allclose(driven[-1], poses[-1], atol=1e-4)
         assert total + begun == pytest.approx(task.judge(trajectory).progress[0, 0], abs=1e-3)
         assert info["is_success"] == judged.success[0, 0]

@@ -70,7 +70,7 @@ def test_crossover_spreads_children_as_simulated_binary_crossover_does():
 
 
 def test_mutation_hits_its_share_and_null_commands_come_back_new():
-    # Plans of one command, which has no other place to come back to.
+    # Plans of one command, which can only come back at the same index.
     old = np.random.default_rng(0).random((8000, 4))
     new, rng = old.copy(), state(1)
     for genes in new:
@@ -95,7 +95,7 @@ def test_mutation_hits_its_share_and_null_commands_come_back_new():
 def test_commands_make_room_for_one_that_comes_back(source, place, expected):
     genes = np.repeat(np.arange(4.0), 4)
     breeding._move(genes, 4 * source, 4 * place, 4)
-    assert genes.reshape(4, 4)[:, 0].tolist() == list(expected)  # what is at place is drawn anew
+    assert genes.reshape(4, 4)[:, 0].tolist() == list(expected)  # that at place is new
 
 
 def population(seed=0, **changes):

@@ -11,7 +11,7 @@ def test_gradient_by_hand():
     scores = np.array([4.0, 1.0, 2.0, 6.0])
     # First parameter: +e (4 + 6) / 2 = 5, 0: 1, -e: 2; 5 - 2 = 3.
     # Second: +e 4, 0: 1, -e (2 + 6) / 2 = 4; 4 - 4 = 0.
-    # Third: nobody lowered it: 0. Fourth: +e 1.5, 0: 4, -e 6: 1.5 - 6 = -4.5.
+    # Third: no policy lowered it: 0. Fourth: +e 1.5, 0: 4, -e 6: 1.5 - 6 = -4.5.
     assert gradient(signs, scores) == pytest.approx(np.array([3, 0, 0, -4.5]) / np.hypot(3, 4.5))
 
 

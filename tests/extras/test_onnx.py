@@ -1,4 +1,4 @@
-"""What is exported to ONNX does in onnxruntime what ours does (``make test-extras``)."""
+"""A simulator exported to ONNX computes in onnxruntime the same as here (``make test-extras``)."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""The peers that benchmarks measure beside ours run (``make test-extras``; extra ``bench``)."""
+"""The peers in the benchmarks run (``make test-extras``; extra ``bench``)."""
 
 import json
 import os
@@ -25,7 +25,7 @@ def measured(name, *words):
         timeout=PATIENCE,
     )
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])  # peers have things to say before it
+    return json.loads(done.stdout.splitlines()[-1])  # peers may print before it
 
 
 def test_genetic_algorithms():
@@ -67,6 +67,6 @@ def test_the_zoo_measured_in_parts_is_the_zoo_measured_at_once(tmp_path):
     learners("--learners", "fitted,process+u", *peers)
     result = learners("--learners", "lagged,process+l", *peers)
     assert result == learners(*("--learners", "fitted,process+u,lagged,process+l"), *peers)
-    # A robot that answers late, with a lag: these two know of both, the others do not.
+    # A robot with a delay and a lag: these two learners model both, the others do not.
     assert result["lagged"]["ratio"] < result["fitted"]["ratio"]
     assert result["process+l"]["ratio"] < result["process+u"]["ratio"]

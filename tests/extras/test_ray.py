@@ -50,7 +50,7 @@ def simulator():
 
 @pytest.fixture
 def cluster(request):
-    """Start a cluster of so many workers; it ends with the test."""
+    """Start a cluster with this number of workers; it ends with the test."""
     import ray
 
     ray.init(num_cpus=request.param, include_dashboard=False, log_to_driver=False)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 takes the environments as its own (``make test-extras``)."""
+"""Stable-Baselines3 accepts and trains in the environments (``make test-extras``)."""
 
 import warnings
 

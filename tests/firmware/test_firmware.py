@@ -20,7 +20,7 @@ pytestmark = [
 
 HERE = Path(__file__).parent
 SKETCH = FIRMWARE / "arduino" / "neurosim_lines" / "neurosim_lines.ino"
-#: Debian's arduino-core-avr: what an Arduino Uno is programmed with.
+#: Debian's arduino-core-avr: the library that programs of an Arduino Uno use.
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
 
 

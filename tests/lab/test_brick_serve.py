@@ -173,7 +173,7 @@ def test_clients_come_and_go(kind):
 
 
 def watched(kind, radio):
-    """A server that says when nothing, and when a rest, is left of what it was sent."""
+    """Return a server with two events: all bytes were used, or an incomplete rest is left."""
 
     class Watched(kind):
         empty, rest = threading.Event(), threading.Event()
@@ -221,7 +221,7 @@ def test_glued_and_broken_telegrams_over_tcp(monkeypatch):
             client.sendall(b"\x0b")
             assert client.recv(64) == b"\x02\x0b\x00\xdc\x1e"
             monkeypatch.setattr(serve, "REST_WITHIN", 0.01)
-            client.sendall(b"\x00\x06")  # and its port never comes
+            client.sendall(b"\x00\x06")  # the byte of its port never comes
             assert client.recv(64)[:3] == b"\x02\x06\xbf"
             client.sendall(b"GET / HTTP/1.1\r\n")
             assert client.recv(64) == b""

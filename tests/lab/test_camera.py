@@ -41,7 +41,7 @@ def test_marker_is_painted_where_it_projects(camera, pose, marker):
     frame = camera.render(np.array(pose), noise=False)
     centre = in_view(camera, pose, marker)
     pixels, colours = around(frame, centre, 7.2)
-    weights = (colours.sum(1) - 66.0).clip(0)  # what is brighter than the black backing
+    weights = (colours.sum(1) - 66.0).clip(0)  # pixels brighter than the black backing
     result = (weights[:, None] * pixels).sum(0) / weights.sum()
     assert np.hypot(*(result - centre)) < 0.1
 
@@ -109,7 +109,7 @@ def test_board_lines_and_floor_have_their_brightness(camera):
     assert grey(0.3, -line) < 90 < 150 < grey(0.3, -line + 0.05)
     assert grey(0.3, BOARD.width / 2 + 0.05) < 110
     assert all(grey(*mark) < 130 for mark in scene.MARKS)
-    assert grey(1.0, 0.3) > grey(-1.0, 0.3) + 10  # the window is on that side
+    assert grey(1.0, 0.3) > grey(-1.0, 0.3) + 10  # this side is nearer to the window
 
 
 def glow(frame, camera, pose):

@@ -8,7 +8,7 @@ from neurosim.lab.khepera.firmware import BANNER, KheperaFirmware
 
 
 class Body:
-    """Remembers what it was told."""
+    """Remembers the values that it was given."""
 
     def __init__(self):
         self.wheel, self.at, self.goal = (0, 0), (0, 0), None

@@ -1,4 +1,4 @@
-"""The virtual Khepera's infra-red sensors beside those of a real one: alike, not the same."""
+"""The virtual Khepera's infra-red sensors compared with a real one's: similar, not equal."""
 
 import math
 
@@ -18,7 +18,7 @@ OBJECTS = {
 
 
 def sampled(seed, arena, samples):
-    """Sample a drawn robot as the published samples were taken, [D, A, 8]."""
+    """Sample a random robot as the published samples were taken, [D, A, 8]."""
     params, rng = KheperaParams.sampled(seed), np.random.default_rng(seed)
     distances, angles, _ = samples.activations.shape
     out = np.empty(samples.activations.shape)
@@ -48,7 +48,7 @@ def half_distance(activations):
 
 
 def widths(activations, distance):
-    """Return over how many angles the sensors see the object, [8]."""
+    """Return the number of angles at which each sensor sees the object, [8]."""
     return (activations[distance] > 0.1).sum(axis=0)
 
 
@@ -65,5 +65,5 @@ def test_range_width_saturation_and_floor(name, shared_data):
     for robot in lab:
         assert (robot[0].max(axis=0) > 0.99).all()
         assert robot[-1].mean() == pytest.approx(real[-1].mean(), abs=0.003)
-        # Alike, not copies: they differ by much more than the noise.
+        # Similar, not copies: they differ by much more than the noise.
         assert np.abs(robot - real).mean() > 3 * 0.004

@@ -93,7 +93,7 @@ def test_gain_dead_band_and_wheel():
     x, y, _ = robot.pose
     robot.advance(10.0)
     np.testing.assert_allclose(robot.counts(), (0, 880), atol=1)
-    # One wheel stands, the other goes twice its nominal way around it.
+    # One wheel stands; the other travels twice its nominal distance around it.
     assert 2 * 0.088 > math.dist(robot.pose[:2], (x, y)) > 0.0
 
 
@@ -293,7 +293,7 @@ def test_a_wall_inside_an_arena_is_a_board():
     assert sorted(map(tuple, corners.round(9))) == [
         (-0.005, -0.2), (-0.005, 0.2), (0.005, -0.2), (0.005, 0.2),
     ]  # fmt: skip
-    # Its end is seen by who looks at it; of a wall without thickness nothing is.
+    # A sensor that faces its end sees it; a wall without thickness has no end to see.
     before_its_end = (0.0001, 0.25, -math.pi / 2)
     thin, nothing = np.array([[0.0, -0.2, 0.0, 0.2]]), np.empty((0, 3))
     assert physics.reflected(np.array(before_its_end), 0.0, thin, nothing) < 0.001

@@ -1,4 +1,4 @@
-"""The virtual Khepera put together: through the driver, through others' clients, when it breaks."""
+"""The whole virtual Khepera: through the driver, through others' clients, and with faults."""
 
 import json
 import math
@@ -21,7 +21,7 @@ DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]
 
 
 def drive(rig, robot, steps=60):
-    """Drive around on what the sensors say; return the way."""
+    """Drive around by the sensors' readings; return the distance."""
     distance = []
     begin = robot.clock.now()
     robot.drive((60, 50))

@@ -1,4 +1,4 @@
-"""The virtual NXT's motion: by hand where it is ideal, in its statistics where it is not."""
+"""The virtual NXT's motion: an ideal robot by hand, a real one by statistics."""
 
 import math
 from dataclasses import replace
@@ -101,8 +101,7 @@ def test_caster_swings_round_when_the_direction_turns():
     forward = drive(params, (40, 40, 2.0), (40, 40, 2.0))
     assert abs(forward[-1, 2]) < 1e-3
     turned = drive(params, (40, 40, 2.0), (-40, -40, 2.0))
-    # The yaw is caster_yaw * trail * integral of sin from pi to 0, and the way it swings is
-    # the bias's.
+    # The yaw is caster_yaw * trail * integral of sin from pi to 0, and its sign is the bias's.
     yaw = turned[-1, 2] - turned[1, 2]
     assert abs(yaw) == pytest.approx(2 * 0.016, rel=0.7)
     mirrored = drive(replace(params, caster_bias=-0.16), (40, 40, 2.0), (-40, -40, 2.0))

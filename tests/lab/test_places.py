@@ -1,4 +1,4 @@
-"""Places in the lab: walls hold robots, boards of other sizes, and what the camera sees of it."""
+"""Places in the lab: walls stop robots, boards have other sizes, and the camera sees both."""
 
 import json
 import math
@@ -43,7 +43,7 @@ def test_a_wall_holds_a_robot_whose_wheels_turn_on():
 
 def test_a_robot_slides_along_a_wall_and_round_an_obstacle():
     lab = drive(Place(walls=(WALL,)), 40, 40, 4.0, start=(0.0, -0.5, math.radians(45)))
-    # It comes as far along the wall as it would without.
+    # Along the wall it gets as far as without the wall.
     distance = 0.2 * (4.0 - IDEAL.lag_left) * math.sin(math.radians(45))
     assert lab.body.pose[:2] == pytest.approx([0.5 - SIZE, -0.5 + distance], abs=3e-3)
     post = Place(obstacles=((0.5, 0.03, 0.05),))

@@ -1,4 +1,4 @@
-"""A closed line on the lab's board: what sensors and camera see of it, and following it."""
+"""A closed line on the lab's board: seen by sensors and camera, and followed."""
 
 import math
 from dataclasses import replace
@@ -29,7 +29,7 @@ def test_light_by_hand():
     fraction = 1 / 3 - math.sqrt(3) / (4 * math.pi)
     assert light(0.0, 0.424) == pytest.approx(0.55 - 0.35 * fraction)
     assert light(0.7 - 0.3 + 0.3 * math.sin(0.7), 0.1 + 0.3 * math.cos(0.7)) == pytest.approx(0.2)
-    assert light(0.0, 0.92 - 0.12) == pytest.approx(0.25)  # the perimeter's line is there still
+    assert light(0.0, 0.92 - 0.12) == pytest.approx(0.25)  # the perimeter line is still there
 
 
 def test_sensors_are_where_they_are_mounted():

@@ -1,4 +1,4 @@
-"""The virtual robot put together: the interface over a socket, in real time, and when it breaks."""
+"""The whole virtual robot: the interface over a socket, in real time, and with faults."""
 
 import os
 import subprocess
@@ -101,7 +101,7 @@ def test_what_breaks_inside_the_lab_is_told_and_not_a_lost_link(tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no controlling terminals")
 @pytest.mark.slow
 def test_a_line_that_closes_does_not_hang_up_a_notebook(tmp_path):
-    """A session's leader without a terminal, as a notebook's kernel is, survives the line."""
+    """A session leader without a terminal, such as a notebook's kernel, survives."""
     program = (
         "from neurosim.lab import VirtualRig\n"
         "with VirtualRig(0, camera=False) as rig, rig.robot as robot:\n"

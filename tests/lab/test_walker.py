@@ -1,4 +1,4 @@
-"""Walking robots of the lab: what a learner is shown, and what it is not."""
+"""Walking robots of the lab: quantities that a learner sees, and hidden ones."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_a_gait_that_stays_where_it_is_fails(walker):
 
 
 def test_servos_lag_and_have_a_greatest_speed():
-    """Half of the way that is left in a frame, 0.1 rad at most."""
+    """They move half of the remaining angle in a frame, 0.1 rad at most."""
     commands = np.tile(standing(), (4, 1))
     commands[:, 0] += 0.3
     moved = servo(commands, standing(), 0.5, 0.1)[:, 0] - standing()[0]
@@ -51,7 +51,7 @@ def test_servos_lag_and_have_a_greatest_speed():
 
 
 class Seen:
-    """Physics that keeps what it is given; every robot is at the edge after the tenth frame."""
+    """Physics that keeps its arguments; every robot is at the edge after the tenth frame."""
 
     def walk(self, models, starts, commands, reach):
         self.models, self.starts, self.commands = models, starts, commands
@@ -78,7 +78,7 @@ def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     assert all(build.bumps == builds[0].bumps for build in builds)
     assert max(height for *_, height in builds[0].bumps) <= place.height
     assert len(set(walker._physics.starts[:, 2])) == 3
-    # The watch: ten frames, and what the hand that stops it is early or late.
+    # The stopwatch: ten frames, plus the error of the hand that stops it.
     late = RADIUS / result - 10 * 0.008
     assert len(set(late)) == 3
     assert np.abs(late).max() < 5.0 * place.scatter[2]

@@ -1,4 +1,4 @@
-"""The lab as a whole: its time, the brick's hardware in it, and what it keeps as the truth."""
+"""The lab as a whole: its time, the brick's hardware in it, and the true poses that it keeps."""
 
 import math
 import threading
@@ -108,7 +108,7 @@ def test_a_push_moves_a_robot_that_drives_aside():
     push = Push(0.1, after=0.5, direction=math.pi / 2)
     labs = [Lab(5, params=IDEAL, camera=None, push=one) for one in (None, push)]
     for lab in labs:
-        lab.advance_to(2.0)  # nobody drives yet
+        lab.advance_to(2.0)  # no motor runs yet
         assert lab.body.pose == pytest.approx([0.0, 0.0, 0.0])
         run_motor(lab.body, 1, 40)
         run_motor(lab.body, 2, 40)
@@ -152,7 +152,7 @@ def test_a_motor_stops_at_its_limit(power):
 
 
 def test_a_limit_counts_from_the_last_ones_end_unless_the_motor_ran_without_one():
-    """As dOutputSetTachoLimit and dOutputTachoLimitControl of LEGO's d_output.c count."""
+    """Counted as by dOutputSetTachoLimit and dOutputTachoLimitControl of LEGO's d_output.c."""
     lab = Lab(0, params=IDEAL, camera=None)
     run_motor(lab.body, 1, 60, limit=3600)
     lab.advance_to(0.5)

@@ -49,7 +49,7 @@ def plan(*commands, start=TASK.start):
 
 
 def test_failures_are_counted_where_they_happen():
-    # Up into rectangle 1 and no further: no sample ends where it should.
+    # Up into rectangle 1 and no further: no sample ends in the right place.
     commands = [(48.0, 48.0, 1.0), (48.0, 48.0, 1.0)]
     checked = check(plan(*commands), Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
     assert checked.probability == 0.0

@@ -1,4 +1,4 @@
-"""Evolution of networks goes on on a robot, which may be lost, and is resumed."""
+"""Evolution of networks continues on a robot, whose connection may be lost, and is resumed."""
 
 from dataclasses import replace
 
@@ -72,7 +72,7 @@ def test_a_lost_robot_is_gone_on_with_as_if_nothing_had_been(tmp_path, at):
     done = SETTINGS.generations + at // GENETIC.population
     assert so_far.evolution["history"]["best"] == whole.evolution["history"]["best"][:done]
     resumed = evolved(tmp_path / "net", judge, resume=True)
-    # Nobody was tried twice before the last best were tried again; a copy is not tried again.
+    # No network was tried twice before the last best ones were repeated; a copy is not tried again.
     kinds = len({genes.tobytes() for genes in judge.tried})
     assert len(judge.tried) == kinds + AGAIN * TRIALS_AGAIN <= 3 * GENETIC.population + 20
     assert resumed.evolution["history"] == whole.evolution["history"]

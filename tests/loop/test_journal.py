@@ -1,4 +1,4 @@
-"""Trials in reality: written down, never repeated, counted, and what reality may do wrong."""
+"""Trials in reality: written down, never repeated, counted; wrong results are errors."""
 
 import json
 import signal
@@ -19,7 +19,7 @@ ONE, TWO = np.array([0.25, 0.5]), np.array([0.75, 0.1])
 
 
 class Counting:
-    """Returns how many trials there were before, and remembers them."""
+    """Returns the number of earlier trials, and remembers them."""
 
     def __init__(self):
         self.seen = []
@@ -127,7 +127,7 @@ def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
         trials.evaluate(ONE[None], "first")
     assert [row["fitness"] for row in read_trials(tmp_path / "trials.jsonl")] == [1.5] * kept
     reality.trial = lambda genes, number: 1.5
-    assert trials.evaluate(ONE[None], "first") == pytest.approx([1.5])  # it can be gone on with
+    assert trials.evaluate(ONE[None], "first") == pytest.approx([1.5])  # it can be continued
 
 
 def test_what_a_reality_raises_comes_through(tmp_path):

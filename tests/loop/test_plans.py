@@ -1,4 +1,4 @@
-"""Plans are evolved, and what is returned is what the simulator says of them."""
+"""Plans are evolved, and come with the simulator's predictions."""
 
 import math
 import os
@@ -55,7 +55,7 @@ def test_a_rollout_by_hand():
 
 
 class Loaded(IdealWheels):
-    """Carries what weighs differently in every drive, and is as much slower; drawn at its start."""
+    """Carries a load that differs in every drive and makes it slower; drawn at the start."""
 
     has_noise = True
     state_names = (*IdealWheels.state_names, "load")
@@ -158,7 +158,7 @@ def test_interruption_returns_the_best_so_far(monkeypatch, generation):
     monkeypatch.setattr(Search, "generation", interrupted)
     results = evolved(IdealWheels())
     assert all(result.evolution["interrupted"] for result in results)
-    # The generation in which it came was worked to its end.
+    # The interrupted generation was completed.
     assert {one.evolution["run"]: one.evolution["history"]["best"] for one in results} == {
         one.evolution["run"]: one.evolution["history"]["best"][:generation] for one in whole
     }

@@ -1,4 +1,4 @@
-"""Plans that are planned again after every command, and rollouts of robots that are under way."""
+"""Plans that are replanned after every command, and rollouts of robots that are moving."""
 
 import math
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_a_robot_that_is_under_way_goes_on_from_there(name):
         under_way = replace(draws, state=moving[0].numpy())
         rolled_out = compiled.run(family.rows, under_way).poses
         np.testing.assert_allclose(rolled_out, stepped.run(family.rows, under_way).poses, atol=1e-6)
-        # What was driven before makes a difference, but not to where it begins.
+        # The earlier drive changes the path, but not where it begins.
         assert np.abs(rolled_out[:, :, 0] - starts).max() == 0.0
         assert np.abs(rolled_out - compiled.run(family.rows, draws).poses).max() > 1e-3
 
@@ -97,7 +97,7 @@ def test_a_robot_arrives_though_it_slips_and_is_pushed(push):
     assert all(away < 0.02 and off < math.radians(3.0) for away, off, *_ in there)
     replanner, given = there[0][2:]
     assert len(replanner.foreseen) == len(given) <= replanner.steps == 15
-    # The last is standing, to look again; nothing moves it from its goal any more.
+    # The last command is a stop, to look again; nothing moves the robot from its goal any more.
     assert given[-1] == (0.0, 0.0, QUICK.settle)
     again = go(2, push)[3]
     assert again == given
@@ -114,13 +114,13 @@ def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
     left, right, seconds = replanner.next(np.zeros(3))
     twist = np.array([(left + right) / 400, 0.0, (right - left) / 26])
     assert np.abs(twist).max() > 0.1
-    # Elsewhere than expected, 0.2 s before the end, and some turns on.
+    # Not at the expected position, 0.2 s before the end, and with some whole turns added.
     seen = np.array([0.4, -0.3, 1.0])
     replanner.next(seen + np.array([0.0, 0.0, 4 * math.pi]), 0.2)
     wanted, result = se2.compose(seen, se2.exp(0.2 * twist)), np.array(replanner.foreseen[-1].pose)
     assert result[:2] == pytest.approx(wanted[:2])
     assert math.remainder(result[2] - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
-    # Its heading goes on from the one before: it never jumps by a whole turn.
+    # Its heading continues from the one before: it never jumps by a whole turn.
     assert abs(result[2] - seconds * twist[2]) < math.pi
 
 
@@ -135,7 +135,7 @@ def test_a_rehearsal_is_exact_where_nothing_is_uncertain():
     assert driven.commands[-1].tolist() == [0.0, 0.0, 0.5]
     x, y, _ = driven.poses[-1] - TASK.goals[0]
     assert judged.detail["distance"] == pytest.approx(math.hypot(x, y))
-    # The next one begins again.
+    # The next drive begins from the start.
     np.testing.assert_array_equal(replanner.rehearse((0.05, 0.0, 0.1))[1].poses, driven.poses)
 
 

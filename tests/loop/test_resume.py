@@ -116,7 +116,7 @@ def interrupting(monkeypatch):
 
 
 def content(saved):
-    """Return all that evolution made of a seed."""
+    """Return all results of an evolution with a seed."""
     return [
         (one.commands, one.genes.tolist(), one.start, one.predicted, one.evolution) for one in saved
     ]

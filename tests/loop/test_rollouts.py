@@ -1,4 +1,4 @@
-"""The compiled rollouts against the slow, obvious way: the simulator's own steps."""
+"""The compiled rollouts against the slow, obvious method: the simulator's own steps."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from neurosim.simulators.engine import CompiledRollouts
 START = (-0.8, 0.0, 1.5)
 
 
-#: One whose networks say the displacement, or what departs from a drive model; large outputs.
+#: One whose networks predict the displacement, or the difference from a drive model; large outputs.
 DISPLACEMENT = {"drives": False, "units": 0, "swing": None, "size": 0.2}
 DRIVEN = {"size": 0.2}
 
@@ -28,7 +28,7 @@ def plans(batch, count):
     commands[2, :, 1] = commands[2, :, 0]
     commands[-1, 1:, :2] = -commands[-1, :-1, :2]
     commands[-1, 1::2, :2] *= 0.5
-    # The same command again: with a drive model it goes on, until it has lasted too long.
+    # The same command again: with a drive model it continues, until it has lasted too long.
     commands[-2, 1:4] = [30.0, -20.0, 1.2]
     given = rng.random((batch, count)) < 0.75
     given[3] = False

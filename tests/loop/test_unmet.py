@@ -1,4 +1,4 @@
-"""What networks do in arenas that they were not evolved in, and the choice among runs by it."""
+"""Networks in arenas in which they were not evolved; the run that does best there is chosen."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def test_who_turns_away_touches_less_than_who_drives_straight_on(evaluator):
     assert careful.touched <= 2
     assert open_loop.touched >= 0.8 * open_loop.drives
     assert careful.fitness > open_loop.fitness
-    assert careful.vehicle == open_loop.vehicle == careful.touched  # careful is the vehicle
+    assert careful.vehicle == open_loop.vehicle == careful.touched  # the vehicle is careful
     assert in_unmet_arenas(evaluator, genes, seed=0) == [careful, open_loop]
 
 

@@ -1,4 +1,4 @@
-"""What is said of commands unlike any that were recorded, and what evolution makes of them."""
+"""Commands unlike any recorded one: the warnings, and how evolution treats them."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ NAMES = ("left", "right", "duration")
 
 
 def simulator(**changes):
-    """Return a simulator that has never been told to drive straight ahead."""
+    """Return a simulator that was trained without commands that drive straight ahead."""
     rows = random_commands(np.random.default_rng(0), 4000)
     result = random_motion_network(**changes)
     result.known = Domain.of(NAMES, rows[~(rows[:, :2] > 5.0).all(1)])
@@ -95,7 +95,7 @@ def test_of_a_network_steps_count():
     network = make_controller("network", sim, TASK)
     genes = np.zeros((2, network.genes))
     measure = ns.evaluate(sim, TASK, network)
-    # Without a drive model nothing is known of commands of 0.1 s.
+    # Without a drive model commands of 0.1 s are not supported.
     assert measure.unsupported(genes) == pytest.approx([1.0, 1.0])
     rows = random_commands(np.random.default_rng(0), 400)
     sim.known = Domain.of(NAMES, rows, begins=True)

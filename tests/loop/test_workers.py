@@ -1,4 +1,4 @@
-"""Who judges: what is refused, and that parts are judged as the whole is.
+"""Workers that judge: errors, and the same judgement in parts as in one piece.
 
 A real cluster judges in tests/extras.
 """

@@ -108,7 +108,7 @@ shapes = {
     "products": st.integers(0, 4),
     "summations": st.integers(1, 4),
     "rows": st.integers(1, 700),
-    "spread": st.sampled_from([0.5, 2.0, 30.0]),  # up to exponents that reach the limit
+    "spread": st.sampled_from([0.5, 2.0, 30.0]),  # large enough that exponents reach the limit
     "seed": st.integers(0, 1000),
 }
 

@@ -72,7 +72,7 @@ def test_there_are_notebooks():
 
 
 def shows(cell):
-    """Return whether a cell prints or draws something."""
+    """Return whether a cell has an output."""
     return bool(re.search(r"^ *(print|plt\.show)\(", cell.source, flags=re.MULTILINE))
 
 

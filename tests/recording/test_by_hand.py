@@ -52,7 +52,7 @@ def test_other_robots_have_a_lever_for_each_number_by_its_name():
 
 
 class Clock:
-    """A clock whose sleepers do, at the moments of a script, what stands in it."""
+    """A clock that runs the actions of a script at their times while somebody sleeps."""
 
     def __init__(self, script=()):
         self.time, self.script = 0.0, sorted(script, key=lambda each: each[0])
@@ -112,14 +112,14 @@ class Robot:
         return {"kind": "two-wheels"}
 
 
-#: The robot stands for so long, s, before a person may drive: flashes of a lamp have their time.
+#: Seconds that the robot stands before a person may drive, while its lamp flashes.
 BEFORE = 1.5
 
 
 def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), resume=False, **own):
     """Drive by levers that stand at ``wishes``, (s, levers) from the beginning, until ``end``.
 
-    Between the moments of ``silent`` nobody says where they are.
+    Between the times of ``silent`` the page sends nothing.
     """
     clock = Clock()
     hand = Hand(80.0, now=clock.now)
@@ -175,7 +175,7 @@ def test_commands_are_kept_as_they_are_given_at_their_times(tmp_path):
     assert shown["phase"] == "over"
     assert shown["commands"] == 4
     assert shown["seconds"] == pytest.approx(3.0, abs=0.1)
-    # What goes on is said again to a robot that stops by itself, and is written once.
+    # A command that continues is repeated to a robot that stops by itself, and is written once.
     assert {seconds for _, seconds in robot.held} == {2 * REFRESH}
     driven = [time for time, _ in robot.held]
     assert len(driven) > 6
@@ -199,10 +199,10 @@ def test_a_robot_that_nobody_drives_stops(tmp_path, when):
     recording, *_ = drive(tmp_path / "r", [(0.0, STILL), (0.5, AHEAD)], 2.5, silent=[(when, 2.0)])
     lines = motor(recording)
     assert [line.kind for line in lines] == ["command", "stop", "command", "stop"]
-    # It was heard last at the beat before.
+    # Its last message came one beat before.
     assert lines[1].time - (BEFORE + when) < 0.5
     assert lines[1].time - (BEFORE + when) > SILENT - 0.11
-    # Whoever comes back with the keys still down goes on.
+    # A page that comes back with its keys still pressed continues.
     assert lines[2].time == pytest.approx(BEFORE + 2.0, abs=0.1)
 
 
@@ -227,10 +227,10 @@ def test_a_page_that_goes_away_stops_the_robot_at_once():
 def test_at_the_line_the_robot_is_stopped_and_may_be_driven_back(tmp_path):
     wishes = [
         (0.0, STILL), (0.2, AHEAD),  # on the line after 1.25 s
-        (2.0, BACK), (2.3, STILL),  # not before the levers were let go
-        (2.6, AHEAD), (3.0, STILL),  # not farther out
+        (2.0, BACK), (2.3, STILL),  # ignored until the levers are let go
+        (2.6, AHEAD), (3.0, STILL),  # ignored: farther out
         (3.2, BACK), (3.6, STILL),
-        (4.0, AHEAD), (5.0, STILL),  # inside again: the line stops it anew
+        (4.0, AHEAD), (5.0, STILL),  # inside again: the line stops it again
     ]  # fmt: skip
     recording, robot, hand, message = drive(tmp_path / "r", wishes, 5.5, line=0.5)
     lines = motor(recording)
@@ -301,7 +301,7 @@ def test_a_dataset_of_it_has_the_commands_with_their_times(tmp_path):
     for line in sent:
         rows = table[(table["left"] == line.left) & (table["right"] == line.right)]
         assert rows["duration"].sum() == pytest.approx(ends[line.command] - line.time, abs=0.04)
-    # The robot does at once what it is commanded.
+    # The robot follows its commands at once.
     moved = se2.exp(robot.commands.twist(table[["left", "right"]].to_numpy())
                     * table[["duration"]].to_numpy())  # fmt: skip
     assert np.abs(moved - dataset.output_array()).max() < 0.03

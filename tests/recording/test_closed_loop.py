@@ -1,4 +1,4 @@
-"""Controllers that see, driven at a steady rate; on robots without physics, and in the lab."""
+"""Closed-loop controllers, driven at a steady rate, on robots without physics and in the lab."""
 
 import math
 
@@ -96,7 +96,7 @@ class Robot:
 
 
 class Source:
-    """Drives straight ahead, slower the more it sees, and keeps what it was shown."""
+    """Drives straight ahead, slower the more it sees, and keeps its observations."""
 
     step, rest, start = 0.1, 0.5, (1.0, 2.0, math.pi / 2)
     reads, needs_pose = True, False
@@ -136,7 +136,7 @@ def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
     assert seen.command.tolist() == [*range(20), -1, -1]
     assert [line.left for line in sent] == pytest.approx(50 - 40 * seen.readings[:20, 1])
     assert [s.time for s in source.seen] == pytest.approx(0.1 * np.arange(20))
-    # Odometry, from the start pose: up along y, the way that the wheels turned.
+    # Odometry, from the start pose: up along y, by the distance that the wheels turned.
     assert seen.pose[:, 0] == pytest.approx(1.0)
     # The first look came before the robot moved.
     distances = [FULL_SPEED * line.left / 100 * 0.1 for line in sent]

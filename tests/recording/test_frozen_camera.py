@@ -133,7 +133,7 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
 
 
 class Still(Camera):
-    """The lab's camera, whose picture stays as it is from some time of the lab on."""
+    """The lab's camera, whose picture no longer changes from some time of the lab on."""
 
     waits = True
 
@@ -164,7 +164,7 @@ HELD = {"slip_mean": 1.0, "slip_field": 0.0, "slip_draw": 0.0}
 
 def filmed(folder, source, count, *, since=np.inf, noise=0.0, fps=30.0, sensors=False, held=False,
            calibrated=True, seed=2):  # fmt: skip
-    """Record in the lab; see that the motors stand afterwards, whatever happened."""
+    """Record in the lab; check that the motors stand afterwards."""
     changes = HELD if held else None
     with VirtualRig(seed, camera_size=SIZE, fps=fps, changes=changes) as rig:
         camera, calibration = Still(rig, since, noise), None
@@ -208,7 +208,7 @@ def test_pictures_that_stay_the_same_stop_a_robot_that_drives(tmp_path, fps, noi
     assert "continue with --resume" in str(error.value)
     recording = Recording(tmp_path / "r")
     assert recording.meta["complete"] is False
-    # The first picture that stays comes up to a frame later than that.
+    # The first picture that no longer changes comes up to a frame later.
     assert 0 < stopped_after(tmp_path, 7.0) < 1.0 + 1 / fps
 
 
@@ -242,15 +242,15 @@ def test_without_a_calibration_pictures_that_are_the_same_bytes_stop_the_robot(t
 
 
 def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
-    """Return when a robot is found to stand that does its commands late, and by a gain; or None.
+    """Return when a robot with a delay and a gain is judged to stand; None if it is not.
 
     Args:
         commands: left and right (percent) and seconds.
-        delay: of all that is seen, s.
+        delay: of all observations, s.
         gain: of the speeds.
-        fps: of the sights.
-        noise: of these, m and rad.
-        slowest: of the agreement.
+        fps: observations a second.
+        noise: of the observations, m and rad.
+        slowest: setting of the agreement.
     """
     takes = TWO_WHEELS.measured(full=0.5, track=0.13)
     result = Agreement(0.5, takes.arm)

@@ -34,8 +34,8 @@ def test_after_a_quarter_turn_on_the_spot_the_way_in_is_to_the_side():
     quarter = math.pi / 2 / (2 * 0.25 / 0.13)
     home.moved(TAKES.twist((-50, 50)), quarter)
     angle, direction = home.turn_inside()
-    # It faces left now, so what lies behind where it came from lies to its left: +90 degrees
-    # ahead or -90 degrees backing.
+    # It faces left now, so the point behind its former position is to its left: +90 degrees ahead
+    # or -90 degrees backwards.
     assert (angle, direction) in [
         (pytest.approx(math.pi / 2, abs=0.02), 1),
         (pytest.approx(-math.pi / 2, abs=0.02), -1),

@@ -1,4 +1,4 @@
-"""A car, an omnidirectional base and one behind ROS are recorded, kept on the board, tracked."""
+"""A car, an omnidirectional base and a ROS base are recorded, kept on the board and tracked."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ COUNT = 40
 
 @pytest.fixture(scope="module", params=["car", "omni", "ros"])
 def made(request, tmp_path_factory):
-    """Return the robot's kind, its commands, its recording, the truth, and what was said."""
+    """Return the robot's kind, its commands, its recording, the truth, and the messages."""
     folder, messages = tmp_path_factory.mktemp(request.param), []
     options = {"noise_seed": 5, "camera_size": SIZE}
     with (
@@ -92,7 +92,7 @@ def test_the_dataset_says_how_it_moves(made, tmp_path):
     assert dataset.inputs == (*(f"prev_{name}" for name in names), *names, "duration")
     assert {one["name"]: one["unit"] for one in dataset.meta["inputs"]}[names[0]] == "m/s"
     assert len(dataset) >= 0.8 * COUNT
-    # A robot that did at once what it is commanded would move much like this.
+    # A robot that followed its commands at once would move much like this.
     twist = takes.twist(dataset.table[[*names]].to_numpy())
     ideal = twist * dataset.table[["duration"]].to_numpy()
     turned = dataset.table["dtheta"].to_numpy()

@@ -52,7 +52,7 @@ def test_the_robot_is_stopped_where_it_would_come_to_stand_at_the_margin(heading
     for off, leaves in ((-0.002, False), (0.002, True)):
         pose = np.array([0.9 - run_out + off, 0.0, heading])
         assert p.leaves(pose, 5.0, 5.0) is leaves
-    # The same place long ago: it has gone on since.
+    # The same position long ago: the robot has moved on since.
     assert p.leaves(np.array([0.9 - run_out - 0.002, 0.0, heading]), 5.0, 5.1)
 
 

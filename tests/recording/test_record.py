@@ -180,7 +180,7 @@ def test_a_command_cut_at_the_line_is_repeated_from_the_same_speeds(tmp_path):
         assert lines[again].command == lines[i].command
         before = next(line for line in lines if line.command == lines[i].command - 1)
         assert (lines[again - 1].left, lines[again - 1].right) == (before.left, before.right)
-    # Every command ran to its end in the end.
+    # After the retries every command ran to its end.
     done = {
         a.command for a, b in itertools.pairwise(lines) if a.kind == "command" and b.kind != "cut"
     }
@@ -223,7 +223,7 @@ def test_a_lost_link_leaves_a_recording_that_resumes(tmp_path):
     assert recording.meta["complete"] is True
     second = [line for line in recording.commands().itertuples() if line.session == 2]
     sent = [(line.command, line.numbers) for line in second if line.kind == "command"]
-    # The last two of the first session did not run to their end as far as the log can tell.
+    # By the log, the last two of the first session did not run to their end.
     assert sent == [(i, source.command(i).numbers) for i in range(7, 15)]
 
 
@@ -274,7 +274,7 @@ def test_the_motors_are_stopped_whatever_happens(tmp_path, error):
 
 
 class Bare:
-    """A robot that can drive, and nothing else."""
+    """A robot with no ability but driving."""
 
     def __init__(self):
         self.clock, self.sent = FakeClock(), []
@@ -326,7 +326,7 @@ def test_a_khepera_resumed_on_another_dialect_or_line_is_refused(tmp_path, then,
     made = Recording.create(folder, _wanted(Khepera("x"), None, RandomCommands(seed=3), SETTINGS))
     with pytest.raises(UserError, match=f"with another {field}"):
         run(folder, Khepera("x", **then), 3, resume=True)
-    # Recordings of before named its kind in another place: that alone is no difference.
+    # Older recordings have its kind under another key: this alone is not a difference.
     made.meta["robot"]["robot"] = made.meta["robot"].pop("kind")
     made.save_meta()
     with pytest.raises(UserError, match=r"with another robot\.kind"):
@@ -394,8 +394,8 @@ def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path, monkeyp
         assert recording.meta["complete"] is True
         assert (folder / "calibration.json").read_bytes() == calibration.read_bytes()
         assert not [path for path in tmp_path.rglob(".*") if f"r{steps}" in str(path)]
-    assert steps >= 4  # the folder, its session, what is complete
-    assert resumed == steps - 3  # before the folder is renamed into place there is nothing
+    assert steps >= 4  # the folder, its session, the complete recording
+    assert resumed == steps - 3  # before the folder gets its name there is nothing
 
 
 def test_two_do_not_record_into_one_folder(tmp_path):

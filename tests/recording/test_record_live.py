@@ -1,4 +1,4 @@
-"""Recording with the robot in sight: in the lab, whose truth is known, and cannot be seen by it."""
+"""Recording with live tracking, in the lab; the lab's true poses serve the comparison only."""
 
 import itertools
 import os
@@ -36,7 +36,7 @@ def calibrate(rig, path):
 
 
 def make(folder, source, count, *, sensors=False, prepare=None, **options):
-    """Record in the lab; return the recording, what was said, and the truth."""
+    """Record in the lab; return the recording, the messages, and the truth."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     messages = []
     settings = options.pop("settings", {"board": BOARD})
@@ -105,7 +105,7 @@ def test_the_poses_are_there_and_are_what_a_second_pass_gives(kept, tmp_path):
     assert np.array_equal(live.frame, again.frame)
     assert np.abs(live.time - again.time).max() < 1e-3
     both = (live.quality > 0) & (again.quality > 0)
-    # What compression does to the second is the difference, at 1 cm a pixel.
+    # They differ by the compression of the second, at 1 cm a pixel.
     off = (live.pose - again.pose)[both]
     assert np.sqrt((off[:, :2] ** 2).mean()) < 4e-4
     true = truth.pose_at(live.time[both])
@@ -152,7 +152,7 @@ def test_a_camera_that_does_not_wait_is_never_slowed_and_misses_nothing_in_the_e
 
 
 def taken_away(begin, end):
-    """Return how to prepare a lab whose robot a hand covers from ``begin`` to ``end`` (s)."""
+    """Return a function that makes a hand cover the lab's robot from ``begin`` to ``end`` (s)."""
 
     def prepare(rig):
         render = rig.camera.render
@@ -179,7 +179,7 @@ def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp
     assert 6.9 < cut[0].time < 7.2
     still = (truth.times > cut[0].time + 0.4) & (truth.times < 12.0)
     assert np.ptp(truth.poses[still, :2], axis=0).max() < 1e-3
-    # All was sent in the end, the one that was cut once more.
+    # In the end all commands were sent, the interrupted one twice.
     sent = [line.command for line in recording.commands().itertuples() if line.kind == "command"]
     assert sorted(set(sent)) == list(range(8))
     assert len(sent) == 9
@@ -192,7 +192,7 @@ def test_with_light_sensors_it_drives_on(tmp_path):
     assert [line.kind for line in recording.commands().itertuples() if line.is_motor] == [
         "command"
     ] * 4 + ["stop"]
-    # It drove on unseen for more than 2 s, and what was seen then is too short to tell it by.
+    # It drove on unseen for more than 2 s, and the stretch seen then is too short to identify it.
     lost, again, warning = message
     assert "lost from sight" in lost
     assert "seen again" in again
@@ -346,7 +346,7 @@ def test_a_kill_leaves_a_recording_that_can_be_tracked(kept, tmp_path):
 
 
 class ToTheEdge:
-    """Drives to where x is 0.3 m, by its pose alone, and keeps what it was shown."""
+    """Drives to x = 0.3 m, by its pose alone, and keeps its observations."""
 
     step, steps, rest, start = 0.15, 30, 0.5, (0.0, 0.0, 0.0)
     sensors, reads, needs_pose = (), False, True
@@ -374,7 +374,7 @@ def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
     assert recording.meta["deadlines"]["missed"] == 0
     assert recording.is_tracked
     seen = recording.observations()
-    # Predicted to when the command is sent, it is where the robot is then.
+    # The pose predicted for the time of sending is the robot's pose at that time.
     off = seen.pose[:-2] - truth.pose_at(seen.time[:-2])
     assert np.abs(off[:, :2]).max() < 0.02
     assert truth.poses[-1, 0] == pytest.approx(0.3, abs=0.03)

@@ -1,4 +1,4 @@
-"""A robot of the lab that carries a printed tag: recorded in sight, and tracked again."""
+"""A robot of the lab that carries a printed tag: tracked live, and tracked again from its video."""
 
 import shutil
 
@@ -27,7 +27,7 @@ DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command(
 
 
 def recorded(folder, another=None):
-    """Record tag 5; return the recording and what was said, and show ``another`` robot, too."""
+    """Record tag 5 with ``another`` robot in view; return the recording and the messages."""
     markers, messages = marker_settings("apriltag", "virtual", 5), []
     with open_rig("virtual", {}, Setup(markers=markers)) as rig:
         if another is not None:
@@ -68,7 +68,7 @@ def test_its_poses_are_where_it_was(kept):
     assert kept.meta["markers"]["tag"] == {"dictionary": "APRILTAG_36h11", "id": 5}
     (session,) = kept.tracked_sessions()
     assert session["markers"]["tag"]["id"] == 5
-    # The lamp beside it was seen to flash.
+    # The flashes of the lamp next to it were seen.
     assert session["clock"]["flashes"]
     assert session["clock"]["residual"] < 0.012
 
@@ -89,7 +89,7 @@ def test_of_several_robots_the_right_one_is_followed(kept, tmp_path):
     off = misses(made)
     assert np.sqrt((off[:, :2] ** 2).mean()) < 2e-3
     assert np.degrees(np.sqrt((off[:, 2] ** 2).mean())) < 0.6
-    # The same video has the way of the other robot, too.
+    # The same video shows the path of the other robot, too.
     (video,) = made.meta["videos"]
     track_video(made.path / video, Tag(number=9), out=tmp_path / "other")
     rows = read_csv(tmp_path / "other" / "poses.csv", dict.fromkeys("uv", number))

@@ -1,4 +1,4 @@
-"""What tests of moving drives fraction."""
+"""Fixtures of the tests of animated drives."""
 
 import pytest
 from ideal_simulator import SlippingWheels

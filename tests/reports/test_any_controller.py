@@ -1,4 +1,4 @@
-"""Pages and pictures of whatever is registered: tasks, controllers and simulators of any kind."""
+"""Pages and pictures of any registered task, controller and simulator."""
 
 import json
 import math
@@ -63,7 +63,7 @@ FAMILY = Function(ahead, ("time",), name="straight-ahead")
 
 
 class Compass(IdealWheels):
-    """A robot that reads which way it looks; where its sensor is is not known."""
+    """A robot that reads its compass heading; the position of its sensor is unknown."""
 
     kind = "compass"
     reading_names = ("north",)
@@ -128,7 +128,7 @@ def test_a_users_controller_at_a_users_task(registered, tmp_path):
     assert page.table(["simulator", "kind"])[1] == [
         "sea", "compass", "left, right, duration", "north", "-"
     ]  # fmt: skip
-    # Evolution, robust evolution, and the path; the outline's words are words of the page.
+    # Evolution, robust evolution, and the path; the outline's labels are text of the page.
     labels = [svg["aria-label"] for svg in page.svgs]
     assert len(labels) == 3
     assert "graded progress" in labels[0]
@@ -160,7 +160,7 @@ def test_controllers_of_several_tasks_are_not_averaged(tmp_path):
 
 
 def seeing_trial(folder, **changes):
-    """Write a trial as a controller that sees leaves it."""
+    """Write a trial as a closed-loop controller leaves it."""
     poses = along(21)
     content = {
         "kind": "network", "controller": {"path": "c", "sha256": "ab" * 32}, "simulator": None,
@@ -197,7 +197,7 @@ def test_a_trial_of_a_controller_that_sees(tmp_path):
     )  # fmt: skip
     assert "Of 20 commands 3 were late, the worst by 27 ms." in page.text
     assert "Its path is that of its own counters." in page.text
-    assert "growth" not in page.ids  # nothing is predicted command by command
+    assert "growth" not in page.ids  # there are no predictions command by command
 
 
 def test_trials_of_both_kinds_on_one_page(tmp_path):

@@ -1,4 +1,4 @@
-"""What is said of the uncertain, held against hand-worked numbers."""
+"""Measures of predicted uncertainty, compared with hand-worked numbers."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Artefacts that somebody changed: whatever stands in them, a sentence says what is wrong."""
+"""Artefacts that somebody changed: for any content, one sentence says what is wrong."""
 
 import json
 import random
@@ -35,7 +35,7 @@ def nodes(value, path=()):
 
 
 def changed(document, path, value):
-    """Return a document with another value at a place; with the place left out for ``...``."""
+    """Return a document with another value at a key; with the key left out for ``...``."""
     document = json.loads(json.dumps(document))
     place = document
     for key in path[:-1]:

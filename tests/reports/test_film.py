@@ -1,4 +1,4 @@
-"""A drive that moves: on the page, and as a video."""
+"""Animated drives: on the page, and as a video."""
 
 import json
 import re
@@ -56,7 +56,7 @@ def test_samples_are_drives_of_the_simulator_with_its_noise(folders):
     assert np.abs(spread.mean(axis=0)).max() < 0.02
     assert 0.002 < spread[:, 1].std() < 0.03
     assert np.array_equal(film(artefacts, trial).samples, shown.samples)
-    # Of another simulator, without noise, or of a replanned drive there are none.
+    # There are none for another simulator, without noise, or for a replanned drive.
     assert not len(film(gather(folders[:2]), trial).samples)
     artefacts.simulators[0].content = IdealWheels()
     assert not len(film(artefacts, trial).samples)

@@ -309,7 +309,7 @@ def test_path_between_poses_is_the_constant_twist_arc():
     )  # a quarter of a circle, centre (0, 0.5)
     assert np.hypot(path[:, 0], path[:, 1] - 0.5) == pytest.approx(0.5)
     assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() <= 0.02
-    # A whole turn that ends elsewhere has no arc: straight.
+    # A whole turn that does not end where it began has no arc: a straight line is drawn.
     path = planned_path([(0, 0, 0), (0.3, 0, 2 * np.pi)])
     assert path[:, 1] == pytest.approx(0.0)
     assert path[-1] == pytest.approx([0.3, 0, 2 * np.pi])

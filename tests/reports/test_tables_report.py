@@ -1,4 +1,4 @@
-"""The page of simulators of tables and of networks: what was sampled, and what came of it."""
+"""The page of table simulators and networks: the samples, and the results."""
 
 import numpy as np
 import pytest
@@ -40,8 +40,8 @@ def test_samples(tmp_path):
     assert {"samples", "provenance"} <= set(page.ids)
     assert "controllers" not in page.ids
     sensors, motors = page.tables[:2]
-    # The third sensor of the made-up table looks 10 degrees to the left, as a wall 8 / 10 as
-    # bright stands there; the spread is that of the noise.
+    # The third sensor of the made-up table looks 10 degrees to the left; the wall is 8 / 10 as
+    # bright as an obstacle; the spread is the noise's.
     assert sensors[3][0] == "sensor 2"
     assert float(sensors[3][2]) == pytest.approx(0.82, abs=0.03)
     assert sensors[3][3] == "+10"

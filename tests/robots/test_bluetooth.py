@@ -58,7 +58,7 @@ class FakeSocket:
 
 @pytest.fixture
 def radio(monkeypatch):
-    """Put a fake socket module in place; ``radio(sock)`` says what it makes."""
+    """Replace the socket module by a fake; ``radio(sock)`` sets the socket that it returns."""
 
     def install(made):
         def make(*kind):

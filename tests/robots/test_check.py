@@ -1,4 +1,4 @@
-"""What is found about virtual robots, whole ones and ones that are wrong in one way."""
+"""Findings about virtual robots: correct ones, and ones with a single fault."""
 
 import json
 import subprocess
@@ -111,7 +111,7 @@ def test_counters_tell_what_a_cars_speed_does(factor, verdict, says):
 
 
 def body(monkeypatch, change):
-    """Have the two wheels carry out other commands than they are given."""
+    """Change the commands before the two wheels carry them out."""
     move = TwoWheels.move
     monkeypatch.setattr(TwoWheels, "move", lambda self, command: move(self, change(*command)))
 

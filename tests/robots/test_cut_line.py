@@ -128,7 +128,7 @@ def test_cut_after_any_byte_of_any_command_every_motor_ends_by_itself(wiring, ro
             brick.hear(whole(earlier))
             brick.lab.advance_to(brick.lab.time + before[2])
             brick.hear(telegrams)
-            # Whichever command a motor has is over, with what its limit allows for, and coasted.
+            # A motor's command has ended by its limit, whichever it was, and the motor has coasted.
             lasts = max(before[1], command[1])
             longest = 1.25 * (lasts + LATE) + COASTING
             stood = brick.stands_after(longest + 2.0)
@@ -196,7 +196,7 @@ class Rig:
         return [self.brick.lab.body.output(port).power for port in (1, 2)]
 
     def lose(self, which):
-        """Let the next telegrams of these numbers get lost on their way."""
+        """Lose those of the next telegrams that have these numbers."""
         handle, heard = self.brick.brick.handle, itertools.count()
 
         def deaf(telegram):
@@ -215,7 +215,7 @@ def test_a_command_that_was_lost_stops_the_robot(lost, seconds):
             for _ in range(2 if seconds < 0.5 else 1):
                 rig.radio.patience = 0.01
                 rig.robot.drive_for((60, -60), seconds)
-                # A short command is asked for on one side, and lost again the next time.
+                # A short command reaches one side only, and is lost again the next time.
                 rig.lose(lost)
         wait_until(lambda: rig.powers == [0, 0], "a stop")
 
@@ -226,7 +226,7 @@ def test_without_its_first_telegrams_a_command_ends_later_but_ends(lost):
         rig.robot.drive_for((60, 60), 2.0)
         rig.lose(lost)
         rig.robot.drive_for((30, 60), 1.0)
-        # What was left of the last limit is turned, too.
+        # The remainder of the last limit is turned, too.
         left = DEGREES * (60 * 3.0 + 60 * 2.0)
         stood = rig.brick.stands_after(60.0)
         assert stood is not None

@@ -31,7 +31,7 @@ def test_it_is_driven_and_read(kind, dialect):
     with on_a_line(kind) as (fake, cable), driver(fake, cable, dialect) as robot:
         can = [isinstance(robot, each) for each in (Proximity, Counters, Lamp, Battery)]
         assert can == [True] * 4
-        # Nothing would stop it: its program holds a speed until the next.
+        # Nothing would stop it: its program keeps a speed until the next command.
         assert not isinstance(robot, SelfStopping)
         robot.drive((100, -50))
         full = robot.full_speed

@@ -1,4 +1,4 @@
-"""The driver against scripted bytes: what a robot, a broken one, and something else answer."""
+"""The driver against scripted bytes: answers of a robot, of a broken one, and of another device."""
 
 import errno
 import math
@@ -38,7 +38,7 @@ SHORT = 0.3  # where no answer comes
 
 
 class Scripted:
-    """Answers commands on a pseudo-terminal; ``script`` holds what to say in place of WELL."""
+    """Answers commands on a pseudo-terminal; answers in ``script`` replace those of WELL."""
 
     def __init__(self, master):
         self.master, self.heard, self.script, self.table = master, [], [], WELL
@@ -72,14 +72,14 @@ class Scripted:
                 if command:
                     self.heard.append(command.decode())
                     answer = self.script.pop(0) if self.script else None
-                    # Before the answer, after which the test may begin to count anew.
+                    # Before the answer, after which the test may begin to count again.
                     self.taken += 1
                     os.write(
                         self.master, self.table.get(command[:1], b"") if answer is None else answer
                     )
 
     def say(self, data, driver):
-        """Say something by itself; return when it stands before the driver."""
+        """Send something unasked; return when it waits at the driver's end."""
         os.write(self.master, data)
         wait_until(lambda: driver._line._serial.in_waiting >= len(data), "what was said")
 
@@ -239,7 +239,7 @@ def test_silence_is_a_lost_link(line, robot):
     script.table = {}
     with pytest.raises(LinkLost, match=rf"{path} stopped answering.*'N' within 0.3 s, 3 times"):
         robot.read_proximity()
-    # That nothing comes back does not mean that nothing arrives.
+    # A robot that does not answer may still have received the command.
     wait_until(lambda: script.heard[3:] == ["D,0,0"] * 4, "a stop, four times")
     assert script.heard[:3] == ["N", "N", "N"]
     with pytest.raises(LinkLost, match="stopped answering"):

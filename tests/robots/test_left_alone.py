@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="no pseudo-terminals, and other signals"),
 ]
 
-#: Seconds of the lab after which a robot that still drives is one that nobody stops.
+#: Seconds of the lab after which a robot that still drives counts as never stopped.
 FOR_EVER = 60.0
 #: Straight on for 3 s, again and again.
 WORDS = ["record", "r", "--camera", "none", "--commands", "100", "--at-line", "ignore"]
@@ -87,7 +87,7 @@ def ros():
 
 
 def stops(rig, drives):
-    """Return whether the robot stands before it would be driving for ever."""
+    """Return whether the robot stops within those seconds."""
     begun = rig.lab.time
     wait_until(lambda: not drives() or rig.lab.time > begun + FOR_EVER, "the robot's stop")
     return not drives()
@@ -144,7 +144,7 @@ def test_the_next_program_stops_what_an_earlier_one_left_running():
         )
         subprocess.run([sys.executable, "-c", driving], timeout=PATIENCE)
         time.sleep(0.2)
-        assert drives()  # drive() holds until the next command
+        assert drives()  # drive() lasts until the next command
         waiting = (
             "from neurosim.robots.nxt.driver import NXT\n"
             f"robot = NXT(filename={robot[-1]!r}); robot.connect(); input()"

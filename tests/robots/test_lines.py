@@ -79,9 +79,7 @@ def test_a_greeting_is_read_as_it_is_written():
         battery=True,
     )
     words = [line.split() for line in greeting.lines()]
-    assert (
-        Greeting.read([*words, ["colour", "red"]]) == greeting
-    )  # what is not known is passed over
+    assert Greeting.read([*words, ["colour", "red"]]) == greeting  # unknown keys are ignored
     assert greeting.values == 4
 
 
@@ -166,7 +164,7 @@ def test_what_the_robot_does_not_take_is_refused_before_it_is_sent():
 
 
 def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
-    """After each byte of each request of a drive, with nothing sent ever after."""
+    """The line is cut after each byte of each request of a drive."""
     with a_rig() as rig:
         sent = []
         feed = rig.firmware.feed
@@ -185,7 +183,7 @@ def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
 
 
 def test_a_line_that_loses_and_changes_bytes():
-    """Nothing wrong is ever done or read; what was lost is sent again."""
+    """No wrong command is carried out, no wrong value is read; lost lines are sent again."""
     with a_rig() as rig, rig.robot as robot:
         rng, done = random.Random(3), []
         hardware, exchange = rig.firmware.hardware, rig._cable.exchange

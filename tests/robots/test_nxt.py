@@ -1,4 +1,4 @@
-"""The NXT driver through the real nxt-python, on virtual bricks and on things that are none."""
+"""The NXT driver through the real nxt-python, on virtual bricks and on other devices."""
 
 import os
 import select
@@ -103,8 +103,8 @@ def test_drive_returns_when_the_lab_has_taken_it(one):
             robot.alone = alone
             before = one.clock.now()
             robot.drive((10, 20))
-            # Two telegrams, or four, and a question leave together; the answer takes another
-            # 20 ms, and so does a second question, and its answer.
+            # Two or four telegrams and a question are sent together; the answer takes another 20
+            # ms, and so do a second question and its answer.
             assert one.clock.now() - before == pytest.approx(took, abs=1e-6)
 
 
@@ -297,7 +297,7 @@ def test_a_line_that_closes_is_lost(rig):
         b"\x02\x55\x00\x01\x02",  # of another command
         b"\x07\x0b\x00\x01\x02",  # no reply
         b"\x02",
-        b"\x02\x0b\x77\x01\x02",  # no status that LEGO knows
+        b"\x02\x0b\x77\x01\x02",  # an unknown status
     ],
 )
 def test_replies_that_are_none_lose_the_link(rig, reply):
@@ -515,7 +515,7 @@ def test_no_serial_lines_on_windows(monkeypatch):
     assert "USB" in text
 
 
-# Faults of the line while the robot drives: what the brick hears must be a stop
+# Faults of the line while the robot drives: the brick must receive a stop
 
 
 def flipped(reply):
@@ -532,7 +532,7 @@ FAULTS = {
 
 
 def faulty(rig, fault):
-    """Let the brick hear everything, and spoil what it answers from now on."""
+    """Deliver everything to the brick, and damage its answers from now on."""
     plain, count = rig.radio.deliver, 0
 
     def deliver(telegram):
@@ -544,7 +544,7 @@ def faulty(rig, fault):
         return fault(count - 1, reply)
 
     rig.radio.deliver = deliver
-    # What asks for nothing is carried out soon, with no question behind it.
+    # A command without a reply is carried out soon, with no question after it.
     rig.radio.patience = 0.01
 
 
@@ -593,7 +593,7 @@ def test_a_command_that_lasts_ends_by_itself(rig):
 def test_a_limit_counts_from_where_the_motor_is(one):
     """The firmware adds a limit to where the last one would have ended.
 
-    Not so where the motor ran without a limit in between (LEGO's d_output.c).
+    This does not hold where the motor ran without a limit in between (LEGO's d_output.c).
     """
     heard = []
     plain = one.body.set_output

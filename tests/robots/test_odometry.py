@@ -1,4 +1,4 @@
-"""Dead reckoning over a line that spoils digits, by the real driver."""
+"""Dead reckoning over a line that changes digits, by the real driver."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def rig():
 
 
 def spoiled(robot, wrong):
-    """Let the next answers about the counters be wrong by so many pulses each."""
+    """Make the next answers of the counters wrong by these numbers of pulses."""
     plain, wrong = robot.read_counts, list(wrong)
 
     def read():

@@ -34,7 +34,7 @@ PORT = "pybricks://Pybricks Hub"
 
 @pytest.fixture
 def reach(monkeypatch):
-    """Return what makes a hub and has it in reach."""
+    """Return a function that makes a hub within reach."""
     made = []
 
     def make(program=None, **options):
@@ -55,7 +55,7 @@ def test_the_program_keeps_to_the_protocol_over_bluetooth(reach):
     assert greeting.name == "two-wheels"
     assert [one.name for one in greeting.counters] == ["left", "right"]
     assert greeting.battery
-    # Its stdin was full at times, and what did not go in was sent again.
+    # Its stdin was full at times; the bytes that did not fit were sent again.
     assert hub.refused > 0
     assert hub.process is not None
 
@@ -84,7 +84,7 @@ def test_it_is_found_by_name_or_address_and_its_program_is_started(reach, name):
             assert robot.greeting.name == "two-wheels"
             process = hub.process
             assert process is not None
-        # The program goes on, and is not started a second time.
+        # The program continues, and is not started a second time.
         assert hub.client is None
         assert hub.process is process
     assert not name or other.process is None

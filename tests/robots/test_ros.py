@@ -100,7 +100,7 @@ def test_a_command_is_repeated_as_long_as_it_lasts_and_no_longer():
         assert len(taken) == 20
         assert max(np.diff(taken)) < 0.12
         assert taken[-1] < begun + 2.0
-        assert rig.standing  # by the controller: nothing was sent
+        assert rig.standing  # stopped by the controller: nothing was sent
 
 
 def test_a_command_without_a_duration_ends_by_the_driver(monkeypatch):
@@ -256,12 +256,12 @@ def scan(ranges, **options):
     ("message", "readings"),
     [
         (scan([0.5, 1.0, 1.5, 2.0]), [0.75, 0.5, 0.25, 0.0]),
-        # Null is infinity or no number; what is beyond the laser's limits is none.
+        # Null stands for infinity or NaN; a value beyond the laser's limits is not a measurement.
         (scan([None, 0.05, 3.5, 1.0]), [0.0, 0.0, 0.0, 0.5]),
         (scan([3.5, 3.5, 0.5, 3.5], range_max=None), [0.0, 0.0, 0.75, 0.0]),
         # A laser that looks to the front only, from its right to its left.
         (scan([1.0, 0.5, 1.5], angle_min=-math.pi / 2), [0.75, 0.25, 0.0, 0.5]),
-        # The nearest in a sector counts, from whichever side; angles beyond a turn go round.
+        # The nearest in a sector counts, in both directions; angles beyond a turn are wrapped.
         (scan([1.8, 0.2, 1.6], angle_min=2 * math.pi - 0.5, angle_increment=0.5), [0.9, 0, 0, 0]),
         (scan([]), [0, 0, 0, 0]),
     ],

@@ -30,7 +30,7 @@ def a_rig(**options):
 
 @contextmanager
 def a_usual_rig(**options):
-    """A Thymio whose sensors are as they are to be."""
+    """Return a virtual Thymio whose sensors have their nominal values."""
     with a_rig(**options) as rig:
         rig.lab.body.sensors, rig.lab.body.brightness = PROXIMITY, np.ones(7)
         yield rig
@@ -54,7 +54,7 @@ def test_messages_by_hand():
 
 
 def test_its_sensors_see_the_walls_and_obstacles_of_a_place():
-    """By hand, as in Enki: three rays 15 degrees apart, of which the middle one counts twice less.
+    """By hand, as in Enki: the sum of three rays 15 degrees apart, less twice the middle one's.
 
     A ray answers 4505 (73 - 0.03^2) / (d^2 - 0.06 d + 73) at d cm, and nothing beyond 14 cm.
     """
@@ -78,8 +78,8 @@ def test_its_sensors_see_the_walls_and_obstacles_of_a_place():
     assert ahead == pytest.approx(law(7.05))
     outer = before_the_wall(15 - 6.2, 40)
     assert read[:5] == pytest.approx([outer, slanted, ahead, slanted, outer], abs=0.003)
-    # Behind on the left a cylinder of 5 cm, 15.05 cm behind the sensor. That on the right, 5.9 cm
-    # beside it, sees it with one ray of three, 16.166 cm from its middle and 6.396 degrees off it.
+    # Behind on the left a cylinder of 5 cm, 15.05 cm behind the sensor. The right sensor, 5.9 cm to
+    # its side, sees it with one ray of three, 16.166 cm from its middle and 6.396 degrees off it.
     off = 15.05 * math.sin(math.radians(15))
     aside = 15.05 * math.cos(math.radians(15)) - math.sqrt(25 - off**2)
     assert read[5] == pytest.approx(reading(aside, 10.05, aside), abs=0.003)
@@ -177,7 +177,7 @@ def test_what_the_robot_does_not_take_is_refused_before_it_is_sent():
 
 
 def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
-    """After each byte of all that is sent to drive it, with nothing sent ever after."""
+    """The line is cut after each byte of all messages that drive it."""
     with a_rig() as rig:
         sent, feed = [], rig.firmware.feed
         with rig.robot as robot:
@@ -188,7 +188,7 @@ def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
             drives = b"".join(sent)
             assert drives.count(bytes([0x0C, 0xA0])) == 2  # SET_VARIABLES
             for cut in range(len(drives) + 1):
-                rig.firmware._data = b""  # the port is opened anew
+                rig.firmware._data = b""  # the port is opened again
                 feed(drives[:cut])
                 wait(rig, 0.05)
                 wait(rig, 0.4 + LATE + 0.1)
@@ -279,7 +279,7 @@ def test_what_is_left_running_is_stopped_by_the_next_program():
 
 @contextmanager
 def answering(data):
-    """Give the port of what answers to whatever comes."""
+    """Give the port of a server that answers any message."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve():

@@ -1,4 +1,4 @@
-"""Tables of robots that are no Khepera."""
+"""Tables of robots other than the Khepera."""
 
 import json
 
@@ -16,7 +16,7 @@ from neurosim.simulators.tables.samples import Samples
 
 
 def samples(folder, sensors):
-    """Write samples of a robot with so many sensors, evenly around it."""
+    """Write samples of a robot with this number of sensors, evenly around it."""
     table, paths = made_up(), []
     for place, name in enumerate(("wall", "cylinder")):
         mean = np.resize(table.mean[place], (*table.mean.shape[1:3], sensors))
@@ -32,7 +32,7 @@ def test_the_radius_of_a_robot_that_is_no_khepera_must_be_said(tmp_path):
     ):
         build_tables(paths)
     assert build_tables(paths, radius=0.085).radius == 0.085
-    # The arena of the paper is then as much larger, twice here: 1.2 x 0.7 m.
+    # The paper's arena grows with the robot, here to twice the size: 1.2 x 0.7 m.
     x1, y1, x2, y2 = build_tables(paths, radius=0.055).place.bounds
     assert (x2 - x1, y2 - y1) == pytest.approx((1.2, 0.7))
     with pytest.raises(UserError, match="radius: expected a number"):

@@ -1,4 +1,4 @@
-"""A camera measures how a virtual Khepera moves: against the lab's truth, which it is not told."""
+"""A camera measures how a virtual Khepera moves: compared with the lab's hidden truth."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A virtual Khepera samples itself: against what stands in the lab, which it is not told."""
+"""A virtual Khepera samples itself: compared with the lab's objects, which it cannot see."""
 
 import json
 import math
@@ -35,7 +35,7 @@ from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.samples import Samples
 
-#: A faster line would only have the robot read, and write down, more on its way.
+#: With a faster line the robot would only read and write more values.
 BAUD = 9600
 ROOMY = Place.rectangle(2.0, 1.5, ((0.3, 0.2, 0.0275),))
 SETTINGS = SampleSettings(angles=36, distances=2, step=0.01, grid=3, held_out=4, duration=0.5)
@@ -49,7 +49,7 @@ def sampled(
     out, settings=SETTINGS, *,
     resume=False, stop_at=None, noise_seed=0, params=None, baud=BAUD, which=1,
 ):  # fmt: skip
-    """Sample a robot; with ``stop_at`` the person walks away when asked for that."""
+    """Sample a robot; with ``stop_at`` the person leaves at that request."""
     arena, poses = sampling_places()
     asked = []
     with (
@@ -124,7 +124,7 @@ def test_samples_are_what_the_sensors_see_there(whole):
 
 def test_the_wheel_base_is_measured(whole):
     _, result, _, params, _ = whole
-    # What the counters see of a turn: the distance in the nominal way of the wheels.
+    # The counters of a turn: the measured distance over the wheels' nominal distance.
     seen = WHEEL_BASE / np.mean(params.wheel)
     assert result["wheel_base"] == pytest.approx(seen, rel=0.008)
 
@@ -236,12 +236,12 @@ def test_a_thymio_samples_itself_too(tmp_path):
             assert off.mean() < 0.03
             assert truth[0, 0, 2] > 0.8 > truth[0, 18, 5] > 0.5 > 0.01 > truth[0, 18, 2]
     wheels = body.wheels
-    # What the counters see of a turn: the distance in the nominal way of the wheels.
+    # The counters of a turn: the measured distance over the wheels' nominal distance.
     assert result["wheel_base"] == pytest.approx(BODY.wheel_base / wheels.mean(), rel=0.05)
-    # They are 3 % off their mean; what slips in a turn changes by 0.8 % from turn to turn.
+    # They differ from their mean by 3 %; the slip of a turn changes by 0.8 % from turn to turn.
     assert result["wheel_sizes"] == pytest.approx(wheels / wheels.mean(), abs=0.012)
     computed = Reaction.from_json(result["reaction"])
-    assert 0.05 < computed.answer < 0.08  # half of the time between two scans, and the line
+    assert 0.05 < computed.answer < 0.08  # half a scan, plus the line's delay
     # A folder of tables knows the robot's size, and that its speeds are whole ones of 500.
     paths = [out / "wall.sample", out / "cylinder.sample"]
     simulator = build_tables(paths, out / "motors.csv", place=ROOMY)
@@ -263,7 +263,7 @@ def test_full_turn_is_where_the_sensors_repeat():
 
 
 class _Plain:
-    """A robot of nominal size, and what it reads: sensor s looks at 45 s degrees."""
+    """A robot of nominal size, and its readings: sensor s looks at 45 s degrees."""
 
     pulses_per_metre, full = 10_000.0, 1665.0
     geometry = type("Geometry", (), {"radius": 0.0275})
@@ -275,7 +275,7 @@ class _Plain:
 
     @classmethod
     def turns(cls, facing, slips, settings):
-        """Turn there and back at every distance, by so much too far to the left at first (rad)."""
+        """Turn there and back at every distance, at first too far to the left by this (rad)."""
         results = {}
         distance = (
             np.concatenate([np.linspace(0, 7 / 6, 600), np.linspace(7 / 6, 0, 600)]) * cls.full
@@ -304,12 +304,12 @@ def test_what_wheels_slip_in_a_turn_is_seen(tmp_path):
     away = np.repeat(0.005 + 0.003 * np.arange(12), 36)
     truth = _Plain.reads(away, angles).reshape(12, 36, 8)
     wall, _ = _Plain.samples(tmp_path, {"wall": 0.0, "cylinder": 0.0}, 0.0005, settings)
-    # Unseen, 5 mm of slip would have come together there: 0.06.
+    # Without correction, 5 mm of slip would have added up there: 0.06.
     assert np.abs(wall[:10] - truth[:10]).max() < 0.025
 
 
 def test_samples_are_readings_beside_a_steep_edge(tmp_path):
-    """A straight line through readings there passes the end of their range."""
+    """A straight line through such readings would leave their range."""
     settings = SampleSettings(angles=180, distances=2, first=0.005, step=0.01)
     turns = _Plain.turns({"wall": 0.0, "cylinder": 0.01}, 0.0, settings)
     for rows in turns.values():

@@ -22,7 +22,7 @@ GOALS = np.array([[0.05, 0.02, 0.3], [0.3, -0.2, 2.0], [-0.4, 0.1, -1.0]])
 EPISODE = Episode(0.4, 25, 0.5, GOALS, reach=0.1)
 STARTS = np.array([[0.02, 0.0, 0.4], [0.5, 0.2, -3.0], [-0.1, 0.4, 7.0], [0.0, 0.0, 0.0]] * 2)
 
-#: Without a drive model, with one, and with all that there may be beside it.
+#: Without a drive model, with one, and with all optional parts.
 FORMS = {
     "displacement": {"drives": False, "units": 0, "swing": None},
     "displacement, all": {"drives": False},
@@ -60,7 +60,7 @@ def test_with_and_without(rest, goals, noise, central, drives):
     assert (draws.noise is not None) == noise
     assert sorted(set(draws.member)) == [0, 1, 2]
     assert_alike(*both(sim, family, episode, draws), 1e-9, 1e-6)
-    # What is expected, and members beside the mean of all.
+    # The expected path, and ensemble members in addition to the mean.
     assert_alike(*both(sim, family, episode, Draws(STARTS)), 1e-9, 1e-6)
     mixed = Draws(STARTS, np.array([-1, 0, 1, 2] * 2), draws.noise)
     assert_alike(*both(sim, family, episode, mixed), 1e-9, 1e-6)

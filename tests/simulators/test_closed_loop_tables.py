@@ -30,7 +30,7 @@ EPISODE = Episode(0.1, 40, 0.5, GOALS, reach=0.15)
 
 
 def simulator(noise="uniform", sensors=8, **changes):
-    """Return tables of so many sensors; commands are not rounded, which a last digit may turn."""
+    """Return tables of ``count`` sensors, without rounding, which would amplify last digits."""
     table = made_up(3, 0.01)
     pick = np.arange(sensors) % table.mean.shape[-1]
     table = SensorTable(

@@ -83,7 +83,7 @@ def test_slip_worked_by_hand():
 def test_what_networks_add_is_corrected_too():
     twist = double([[0.1, 0.02, 0.5]])
     assert CORRECTION.of_twists(twist)[0].tolist() == pytest.approx([0.105, 0.02, 0.48])
-    # Of robots that settle at once all is one twist: that of the drive model and of the networks.
+    # The whole motion of a robot that settles at once is one twist, of drive model and networks.
     sim = random_motion_network(noise=False)
     x = torch.rand(5, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     moved = sim.adjusted(np.array([1.3, 1.0, 0.0, 0.0, 0.0]))

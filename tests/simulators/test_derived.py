@@ -33,14 +33,14 @@ CHANGES = [
 
 @njit
 def inputs_of(model, state, command, memory, began, x):
-    """Write what the compiled networks are given; return whether the command before goes on."""
+    """Write the inputs of the compiled networks; return whether the previous command continues."""
     same = kernels._inputs(model, state, command, memory, began, x)
     kernels.swung(model, x)
     return same
 
 
 def given(sim, inputs):
-    """Return what the networks are given, scaled."""
+    """Return the scaled inputs of the networks."""
     return sim.derived.append(sim.columns, sim.scaled(inputs))
 
 

@@ -1,4 +1,4 @@
-"""Where there were rows: ranges, gaps, and what is said of commands outside of both."""
+"""The domain of the rows: ranges, gaps, and the warnings about commands outside of both."""
 
 import json
 

@@ -110,7 +110,8 @@ def _integrated(laws, delay, commands, dt, steps):
                 begins += commands[acts, -1]
                 acts += 1
                 push = 0.0 if speed * goal < 0.0 else push
-                # What moves the same way already is held for as much less as it is fast.
+                # Friction holds a wheel that already moves the same way for less time, in
+                # proportion to its speed.
                 if goal != 0.0 and (speed * goal < 0.0 or abs(speed) < abs(goal)):
                     along = speed * np.sign(goal) / MOVING
                     held = min(max(1.0 - along, 0.0), 1.0) * stick - push
@@ -123,7 +124,7 @@ def _integrated(laws, delay, commands, dt, steps):
                 own = lag * slowing if abs(goal) < abs(at) - ALIKE else lag
                 own = lag * braking if goal == 0.0 else own
                 at = speed + half * step * min(max((goal - at) / own, -rate), rate)
-            # On its way through zero it is caught.
+            # When its speed crosses zero it is held.
             speed = 0.0 if speed * goal < 0.0 and at * goal > 0.0 and held > 0.0 else at
             if goal == 0.0 or abs(speed) >= MOVING:
                 push = 0.0
@@ -161,7 +162,7 @@ def test_an_exponential_worked_by_hand():
     assert speed[0, 0] == pytest.approx(0.5 - 0.5 * up)
     speed, _ = drive.reached(drive.begun(before), target, double([0.07]))
     assert torch.equal(speed, before)
-    # But the command before goes on to act.
+    # But the previous command continues to act.
     under = drive.begun(before, double([[1.0, 0.0]]))
     speed, _ = drive.reached(under, target, double([0.07]))
     assert speed[0].tolist() == pytest.approx([1 - math.exp(-0.35), 0.8 * math.exp(-0.35)])
@@ -186,7 +187,8 @@ def test_commands_that_change_faster_than_the_delay_reach_the_motors():
     for k in range(40):
         target = goals * (1.0 + 0.005 * (-1.0) ** k)
         under = drive.after(under, target, time, drive.reached(under, target, time))
-    # 1.7 s after the first one acts it drives at their mean, but for what one in two adds.
+    # 1.7 s after the first one acts it drives at their mean, apart from the effect of every second
+    # one.
     assert under.speed[0].tolist() == pytest.approx([0.5, 0.5], abs=1e-3)
     assert (under.acts[0] > 1e-9).sum() == 5
 
@@ -217,7 +219,7 @@ def test_an_actuator_breaks_loose_though_its_command_changes():
 
 def test_standing_and_braking_worked_by_hand():
     drive = alike(lag=0.2, braking=0.5, stick=0.05)
-    # Told 0.5 while it stands, it stands for another 0.1 s. Told to stand, it brakes at lag 0.1 s.
+    # Commanded 0.5 at rest, it stands for another 0.1 s. Commanded to stop, it brakes at lag 0.1 s.
     before, target = double([[0.0, 0.8]]), double([[0.5, 0.0]])
     left, missed, settling, _ = drive.approach(before, target, double([0.3]))
     assert left[0].tolist() == pytest.approx([0.5 * math.exp(-1.0), -0.8 * math.exp(-3.0)])
@@ -225,13 +227,13 @@ def test_standing_and_braking_worked_by_hand():
     assert missed[0].tolist() == pytest.approx(distance)
     assert settling[0].tolist() == pytest.approx([0.6, 0.25])
     assert reached(drive, before, target, double([0.06]))[0, 0] == 0.0
-    # From -0.5 to 0.5 it stands when half of the way is left, after 0.2 ln 2 s, for 0.1 s.
+    # From -0.5 to 0.5 it stands halfway, after 0.2 ln 2 s, for 0.1 s.
     before, target = double([[-0.5, 0.2]]), double([[0.5, 0.5]])
     until = 0.2 * math.log(2.0)
     times = (until + t for t in (0.0, 0.09, 0.1, 0.2))
     speeds = [reached(drive, before, target, double([time]))[0, 0] for time in times]
     assert speeds == pytest.approx([0.0, 0.0, 0.0, 0.5 * (1 - math.exp(-0.5))], abs=1e-12)
-    # What goes on the same way does not stand.
+    # An actuator that continues in the same direction does not stand.
     assert reached(drive, before, target, double([0.2]))[0, 1] == pytest.approx(0.5 - 0.3 / math.e)
 
 
@@ -249,7 +251,7 @@ def test_a_static_curve_worked_by_hand():
     drive = alike(curve=(-0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert drive.shaped(double([1.0, -0.5])).tolist() == pytest.approx([0.9, -0.475])
     # Forwards 0.5 (1 + 0.1 + 0.05 + 0.025 + 0.2 + 0.15 + 0.1), backwards with the last three less;
-    # beyond full command it goes on in proportion.
+    # beyond full command it grows in proportion.
     drive = alike(curve=(0.2, 0.2, 0.2, 0.2, 0.3, 0.4))
     assert drive.shaped(double([0.5, -0.5])).tolist() == pytest.approx([0.8125, -0.3625])
     assert drive.shaped(double([2.0, -2.0])).tolist() == pytest.approx([5.0, -1.4])
@@ -269,7 +271,7 @@ def commanded(drive, seed, spans, robots=6, seconds=4.0):
 
 
 def standing(drive, robots):
-    """Return what is under way in robots that stand."""
+    """Return the pending commands of robots that stand."""
     zero = torch.zeros(robots, 2, dtype=torch.float64)
     slots = torch.zeros(robots, drive.slots, 2, dtype=torch.float64)
     return Underway(zero, zero, slots, slots[..., 0])
@@ -302,7 +304,7 @@ def test_a_sequence_of_commands_follows_the_law_integrated_in_small_steps(spans,
             integral = np.trapezoid(speeds[: end + 1, b], dx=dt, axis=0)
             away.append((under.speed[b].numpy() - speeds[end, b], distance[b] - integral))
     speed, distance = np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
-    # Friction holds a wheel or does not: a step's difference may decide that, in few of the robots.
+    # Friction holds a wheel or not: in a few robots the difference of a step decides this.
     few = 2 if sticky else 0
     assert np.sort(speed)[-1 - few] < (0.02 if sticky else 0.005)
     assert np.sort(distance)[-1 - few] < (0.004 if sticky else 0.001)
@@ -314,7 +316,7 @@ def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, fraction, 
     drive = late_model(seed, sticky)
     commands = torch.from_numpy(commanded(drive, seed, "mixed", seconds=2.0))
     whole = standing(drive, len(commands))
-    # Twice as many may wait: they are kept apart however short.
+    # Twice as many may wait: they are kept apart even if they are short.
     goals, acts = (torch.cat([part, part], 1) for part in (whole.goals, whole.acts))
     whole = cut = Underway(whole.speed, whole.push, goals, acts)
     for command in commands.unbind(1):
@@ -327,8 +329,8 @@ def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, fraction, 
 
 
 #: Twists by the two speeds, and by the products of the first with itself, of both, of the second;
-#: and to how many metres and radians so few pieces of constant twist are right, even where both
-#: speeds are reversed, which takes actuators as slow as these a second.
+#: the error (m, rad) of so few pieces of constant twist, even where both speeds are reversed, which
+#: takes such slow actuators a second.
 KINEMATICS = {
     "differential drive": ([[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3], 0.03, 1e-4),
     "omnidirectional": ([[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], *[[0.0] * 3] * 3], 1e-4, 1e-9),
@@ -351,7 +353,7 @@ def test_phases_are_near_a_fine_integration(
     kinematics, metres, radians, lag, rate, delay, before, target, time
 ):
     drive = alike(lag, 0.8, 0.8, rate, delay=round(delay, 3), kinematics=kinematics)
-    # It has come to the speed before in 3 s.
+    # After 3 s it has reached the previous speed.
     first, time = 3.0, round(time, 3)
     commands = torch.stack(
         [torch.cat([before, double([first])]), torch.cat([target, double([time])])]
@@ -392,7 +394,7 @@ ARRAYS = random_motion_network(noise=False).compiled()
 
 @njit
 def compiled_approach(arrays, c, before, goal, push, time, law):
-    """Return what is left and missed of a difference, when it has settled, and the push."""
+    """Return the remaining and the missed part of a difference, the settling time, and the push."""
     kernels._law(arrays, c, before, goal, push, law)
     left, missed = kernels._follow(law, time)
     return left, missed, law[11], kernels._come(law, time, left)[1]
@@ -431,7 +433,7 @@ def test_compiled_steps_end_in_the_same_states(spans, delay):
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.12])
 @pytest.mark.parametrize("delay", [0.1, 0.5])
 def test_a_command_that_comes_and_goes_by_one_percent_is_as_if_it_were_held(period, delay):
-    """What a controller gives that corrects a little at each of its steps."""
+    """Such commands come from a controller that makes a small correction at each step."""
     sim, count = delayed(SIMULATOR, delay), round(2.4 / period)
     sim = replaced(sim, genes=torch.zeros_like(sim.genes), kernel_units=None)
     kept = driven(sim, double([[30.0, 20.0, period]] * count))[0]
@@ -556,7 +558,7 @@ def test_a_wrong_description_is_refused(folder, changes, says):
 
 #: Two commands in a row: the first drives the robot, the second is looked at in pieces.
 FIRST, SECOND = (20.0, -30.0), (35.0, 45.0)
-#: A way to cut up something, by fractions.
+#: Fractions by which something is cut up.
 CUTS = st.lists(st.floats(0.02, 1.0), min_size=1, max_size=8)
 TIMES = st.floats(0.1, LONGEST)
 
@@ -571,7 +573,7 @@ def fractions_of(cuts, time):
 
 
 def noise_of(*counts, seed=5):
-    """Return noise numbers [4, T, 4], of note where a command begins, else any."""
+    """Return noise numbers [4, T, 4]; they matter where a command begins."""
     noise = 100.0 + normal(seed, 4, sum(counts), 4)
     for n, place in enumerate(np.cumsum([0, *counts[:-1]])):
         noise[:, place] = normal(10 + n, 4, 4)
@@ -701,7 +703,7 @@ def test_a_robot_that_is_put_elsewhere_goes_on_from_there():
 def test_a_command_that_lasts_for_longer_than_the_longest_begins_anew():
     elapsed = SIMULATOR.state_names.index("elapsed")
     states = driven(SIMULATOR, cut((0.5,), (2.0, 1.1, 0.5)), noise_of(1, 2, 1))
-    # 3.1 s are the longest but for a few percent.
+    # 3.1 s are the longest within a few percent.
     assert states[0, :, elapsed].tolist() == pytest.approx([0.0, 0.5, 2.0, 3.1, 0.5])
     speed = slice(3, 5)
     target = SIMULATOR._speeds(double([SECOND]))
@@ -712,7 +714,7 @@ def test_a_command_that_lasts_for_longer_than_the_longest_begins_anew():
     noise = slice(elapsed + 4, elapsed + 8)
     assert torch.equal(states[:, 3, noise], normal(11, 4, 4))
     assert torch.equal(states[:, 4, noise], normal(12, 4, 4))
-    # The same as if another robot came to that speed, on its way to the same.
+    # The same as for another robot that reaches this speed on its way to the same target.
     x = torch.cat([reached, target.expand(4, 2), double([[0.5 / LONGEST]] * 4)], dim=1)
     mean = SIMULATOR.displacement_of(torch.cat([x, target.expand(4, 2)], 1), MEMBERS)
     moved = SIMULATOR.disturbed(x, mean, normal(12, 4, 4))
@@ -764,7 +766,7 @@ def test_chained_inputs_are_those_of_steps_from_rest(drives):
     poses = driven(sim, commands, members=MEMBERS[:1])[0, :, :3]
     moved = se2.between(poses[:-1], poses[1:])
     result = sim.displacement_of(x)
-    # What was left before the fifth command back is forgotten.
+    # Remainders from before the fifth command back are forgotten.
     assert torch.allclose(result[:5], moved[:5], rtol=0, atol=1e-12)
     assert torch.allclose(result, moved, rtol=0, atol=1e-3)
     # A command that does not follow the row before it begins with the commanded speed.

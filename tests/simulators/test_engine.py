@@ -1,4 +1,4 @@
-"""A simulator of a user's own in the compiled loop: the same as stepped, kept, never stale."""
+"""A user's own simulator in the compiled loop: equal to its steps, cached, never stale."""
 
 import subprocess
 import sys

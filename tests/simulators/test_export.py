@@ -99,7 +99,7 @@ def test_float32_is_near(simulator):
         driven = drive(ours(single), state.float(), commands, noise, parts)
         assert torch.linalg.norm((driven - expected)[..., :2], dim=-1).max() < 1e-4
         assert (driven - expected)[..., 2].abs().max() < 1e-3
-    assert simulator.genes.dtype == torch.float64  # ours stays what it was
+    assert simulator.genes.dtype == torch.float64  # the original is unchanged
 
 
 @pytest.mark.slow

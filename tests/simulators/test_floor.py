@@ -1,4 +1,4 @@
-"""The floor: what is lost of the motion where."""
+"""The floor: the fraction of motion that is lost at each position."""
 
 import math
 
@@ -40,8 +40,8 @@ def test_an_even_loss_shortens_way_and_turn():
 
 @pytest.mark.parametrize(("heading", "sign"), [(0.0, 1), (math.pi, -1), (math.pi / 2, 0)])
 def test_the_side_that_loses_more_falls_behind(heading, sign):
-    # The loss grows by 0.05 per metre to the left of a robot that goes along x: of wheels that are
-    # 0.1 m apart the left one goes 0.5 % less far. In 0.4 m it turns by 0.02 rad to the left.
+    # The loss grows by 0.05 per metre to the left of a robot that drives along x: with wheels 0.1 m
+    # apart the left one travels 0.5 % less. In 0.4 m it turns by 0.02 rad to the left.
     moved = on(slope(0.0, 0.05, ahead=0.0), [0.0, 0.0, heading], [0.4, 0.0, 0.0])
     assert moved[2] == pytest.approx(sign * 0.02, abs=1e-3)
     assert moved[1] == pytest.approx(sign * 0.4 * 0.01, abs=3e-4)

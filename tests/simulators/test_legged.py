@@ -71,7 +71,7 @@ def test_compiled_rollouts_are_the_steps(simulator):
     draws = whole.expectation()
     one, other = whole.run(genes, draws), stepped.run(genes, draws)
     np.testing.assert_allclose(one.commands, other.commands, atol=1e-12)
-    # Friction is solved by iterations that begin where the step before ended, or anew.
+    # Friction is solved by iterations that begin with the previous step's result, or from nothing.
     np.testing.assert_allclose(one.poses, other.poses, atol=2e-3)
 
 
@@ -156,7 +156,7 @@ def test_what_has_fallen_or_flies_is_lost():
 
 
 def test_a_model_that_blows_up_falls_and_does_not_disturb_the_others(tmp_path, monkeypatch):
-    """MuJoCo stops such a trial, and would begin it anew where it stood at first."""
+    """MuJoCo stops such a trial, and would restart it at its first position."""
     monkeypatch.chdir(tmp_path)  # it leaves a log
     wild, tame = compile_model(Build(p=1e9, d=0.0, torque=1e9)), compile_model(Build())
     commands = np.tile(standing() + 0.3, (2, 200, 1))

@@ -147,7 +147,7 @@ def edit(folder, **changes):
         ({"inputs": [*MOTORS, {"name": "gear"}]}, "expected shape"),
         ({"inputs": [{"name": "prev_gear"}, *MOTORS[1:]]}, "prev_gear"),
         ({"coordinates": "polar"}, "coordinates"),
-        # Of simulators from before there were drive models.
+        # Files of simulators from before drive models existed.
         (
             {"coordinates": "twist-offset"},
             "'coordinates': expected .*'twist-offset'",

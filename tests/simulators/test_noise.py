@@ -92,7 +92,7 @@ def test_draws_of_zero_are_the_mean(seed):
 @given(SEEDS)
 def test_draws_are_found_again_in_what_they_made(seed):
     noise, columns = noise_model(seed), CommandFeatures.of(NAMES)
-    noise = replace(noise, tail=torch.tensor([-40.0, 0.0, 0.0]))  # no tails to speak of
+    noise = replace(noise, tail=torch.tensor([-40.0, 0.0, 0.0]))  # almost no tails
     x, mean = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3)
     z = normal(seed, 8, DRAWS)
     made = residual(mean, disturb(noise, columns, x, mean, z))
@@ -102,7 +102,7 @@ def test_draws_are_found_again_in_what_they_made(seed):
 
 
 def covariance(noise, columns, x, mean):
-    """Return it [B, 3, 3] where the width is that of no tails."""
+    """Return the covariance [B, 3, 3] at the width without tails."""
     scale, _ = features(noise.unit, columns, x, mean)
     moving = in_motion(noise.unit, noise.sources, mean)
     return torch.diag_embed((2.0 * scale @ noise.log_scale.T).exp()) + moving
@@ -128,7 +128,7 @@ def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
     rows = cholesky(result - torch.diag(half), half.unbind())
     lower = torch.stack([torch.stack([*row, *[STILL[0, 0]] * (3 - len(row))]) for row in rows])
     assert torch.allclose(lower, torch.linalg.cholesky(result))
-    # The map from draws to noise is linear at a fixed width; its rows are those of unit draws.
+    # The map from random numbers to noise is linear at a fixed width; unit vectors give its rows.
     small = 1e-4 / max(1.0, float(lower.abs().max()))
     unit = small * torch.eye(3, DRAWS, dtype=torch.float64)
     moved = disturb(noise, columns, x.expand(3, -1), mean.expand(3, -1), unit)
@@ -167,7 +167,7 @@ def test_noise_worked_by_hand():
     # No turn: 0.02 ahead and 0.06 to the right, times e^(0.5 * 2).
     moved = disturb(noise, columns, x, mean, z)
     assert moved[0].tolist() == pytest.approx([0.2 + 0.02 * math.e, -0.06 * math.e, 0.0])
-    # A turn that came out larger carries the robot round with it.
+    # A larger turn turns the displacement with it.
     turned = disturb(noise, columns, x, mean, torch.eye(1, DRAWS).double())
     expected = [0.2 * math.cos(0.05), 0.2 * math.sin(0.05), 0.1]
     assert turned[0].tolist() == pytest.approx(expected)
@@ -180,7 +180,7 @@ def test_what_happens_in_the_motion_worked_by_hand():
     numbers["sources"][0, 1, 1] = 0.1
     x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
     columns = CommandFeatures.of(NAMES)
-    # A tenth of the way ahead, whatever the width.
+    # A tenth of the distance ahead, at any width.
     ahead = torch.tensor([[0.5, 0.0, 0.0]], dtype=torch.float64)
     z = torch.tensor([[0.0, 1.0, 0.0, 5.0]], dtype=torch.float64)
     moved = disturb(NoiseModel(**numbers), columns, x, ahead, z)

@@ -1,4 +1,4 @@
-"""Many arenas in the place of one: the same tables, arena by arena."""
+"""Many arenas instead of one: the same tables, arena by arena."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_arenas_are_drawn_with_room_for_the_robot():
     assert {len(arena.walls) for arena in arenas} == {0, 1, 2}
     for arena in arenas:
         assert len(arena.free_poses(5, 0.0275, rng)) == 5
-        # Whatever stands inside can be passed on both sides.
+        # All objects inside can be passed on both sides.
         for x, y, radius in arena.obstacles:
             others = Place(
                 arena.outline, arena.walls, tuple(o for o in arena.obstacles if o[:2] != (x, y))
@@ -87,7 +87,7 @@ def test_a_contact_is_where_the_robot_was_held_up(tables):
     simulator = tables.changed(place=Place.rectangle(0.5, 0.4), noise="none")
     evaluator = Evaluator(simulator, ObstacleAvoidance(steps=60, starts=1, contacts="end"), FAMILY)
     genes = np.zeros(FAMILY.genes)
-    genes[[8, 17]] = 1.0  # straight ahead, blind: 7.6 cm/s
+    genes[[8, 17]] = 1.0  # straight ahead, open-loop: 7.6 cm/s
     driven = evaluator.run(genes[None], Draws(np.array([[0.0, 0.0, 0.0]])))
     held = driven.poses[0, 0, 1:, 0] > 0.25 - 0.0275 - 1e-4
     assert 20 < held.sum() < 50
@@ -102,7 +102,7 @@ def test_networks_evolve_in_many_arenas(tables, tmp_path):
     assert first.evolution["settings"]["arenas"] == 4
     again = evolve(tables, task, FAMILY, seed=5, **how)[0]
     assert (again.genes == first.genes).all()
-    # The path that is expected is one in the simulator's own arena.
+    # The expected path is computed in the simulator's own arena.
     assert tables.place.inside(np.array(first.predicted["poses"])[:, :2]).all()
 
 

@@ -96,7 +96,7 @@ def test_standing_still_it_stays_where_it_was_put(simulator):
 
 
 def test_a_servo_is_no_faster_than_its_limit():
-    """A flat leg told to fold by 2.07 rad takes 0.71 s at 2.9 rad/s."""
+    """A flat leg that is commanded to fold by 2.07 rad takes 0.71 s at 2.9 rad/s."""
     model = compile_model(QuadraTot(gravity=0.0))
     data = mujoco.MjData(model)
     data.qpos[2] = 1.0
@@ -125,7 +125,7 @@ def test_compiled_rollouts_are_the_steps(simulator):
     draws = whole.expectation()
     one, other = whole.run(GENES[None], draws), stepped.run(GENES[None], draws)
     np.testing.assert_allclose(one.commands, other.commands[..., :9], atol=1e-12)
-    # Friction is solved by iterations that begin where the step before ended, or anew.
+    # Friction is solved by iterations that begin with the previous step's result, or from nothing.
     np.testing.assert_allclose(one.poses, other.poses, atol=5e-3)
 
 

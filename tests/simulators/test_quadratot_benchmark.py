@@ -1,4 +1,4 @@
-"""What the benchmark of the real quadruped computes, by hand and on a few trials."""
+"""The computations of the real quadruped's benchmark, by hand and on a few trials."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Samples survive the disk byte for byte, and what is wrong with a file is named."""
+"""Samples are written and read byte for byte, and an error names the mistake in a file."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Sensors of a motion network: by hand, compiled as stepped, in files, and what is refused."""
+"""Sensors of a motion network: by hand, compiled and stepped, in files, and errors."""
 
 import json
 

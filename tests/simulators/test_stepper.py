@@ -25,7 +25,7 @@ MADE = {
 
 
 def commands(simulator, rows, seed, duration):
-    """Return commands some of which go on with those of another call with the same seed."""
+    """Return commands; some continue those of another call with the same seed."""
     rng = np.random.default_rng(seed)
     given = rng.uniform(-50, 50, (rows, len(simulator.command_names)))
     given[:, -1] = duration

@@ -145,7 +145,7 @@ def lit(looks, start, end, pieces=40_000):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_how_far_walls_seem_to_be(simulator, seed):
-    """As far as one endless wall would throw back the light of all small pieces of the walls."""
+    """As far as an endless wall that reflects as much light as all pieces of the walls together."""
     rng = np.random.default_rng(seed)
     walls = np.array([(-0.06, -0.07), (0.2, -0.05), (0.25, 0.09), (-0.05, 0.2)])
     outline = tuple(map(tuple, walls))
@@ -171,7 +171,7 @@ def test_how_far_walls_seem_to_be(simulator, seed):
         nearest = to[0, light[:, s].argmax()].numpy()
         away = np.linalg.norm(nearest)
         assert math.cos(bearing[0, 0, s] + state[0, 2]) == pytest.approx(nearest[0] / away)
-        # The endless wall at its place, and moved so far as it seems.
+        # The endless wall at its position, and at its apparent distance.
         normal = nearest / away
         further = nearest + (distance[0, 0, s] - (away - RADIUS)) * normal
         aside = 1000 * np.array([-normal[1], normal[0]])
@@ -233,14 +233,14 @@ def test_a_late_robot(simulator):
     gone = 0.1 * (0.04 - 0.05 * (1 - math.exp(-0.8)))
     speed = 100 * (1 - math.exp(-0.8))
     assert state[0].tolist() == pytest.approx([gone, 0, 0, speed, speed, 100, 100])
-    # Stopped; for 60 ms it does not know that yet.
+    # Stopped; for 60 ms the robot does not react.
     state = sim.step(state, tensor([0, 0, 0.1]))
     gone += 0.1 * (0.06 - 0.05 * math.exp(-0.8) * (1 - math.exp(-1.2)))
     speed = 100 * (1 - math.exp(-2.0))
     gone += speed / 1000 * 0.05 * (1 - math.exp(-0.8))
     assert state[0, :3].tolist() == pytest.approx([gone, 0, 0])
     assert state[0, 5:].tolist() == [0, 0]
-    # A long command is the same as many short ones, and unequal wheels turn it at the start.
+    # A long command equals many short ones; unequal wheels turn the robot at the start.
     uneven = sim.changed(reaction=Reaction(0.04, 0.02, (0.03, 0.08)))
     long = uneven.step(standing([0, 0, 0]), tensor([60, 60, 1.0]))
     short = standing([0, 0, 0])
@@ -433,14 +433,14 @@ def test_tables_of_another_precision_are_read_as_their_own(tmp_path):
 
 @pytest.fixture(scope="module")
 def seeing():
-    """A simulator of three kinds near it and a light, with noise of repeats."""
+    """A simulator with three kinds of objects near the robot, a light, and the noise of repeats."""
     near = made_up(3, 0.01, bright={**BRIGHT, "cylinder-12.5mm": 0.2})
     return TableSimulator(near, lights=made_up_lights(3, 0.01), noise="none")
 
 
 def test_an_obstacle_looks_like_the_sampled_one_of_its_size(seeing):
     def read(radius):
-        """Readings 20 mm before an obstacle; the surface is where it is."""
+        """Readings 20 mm before an obstacle."""
         obstacle = (0.0275 + 0.02 + radius, 0.0, radius)
         arena = Place.rectangle(2, 2, [obstacle])
         sim = seeing.changed(place=arena, senses=("proximity",))
@@ -495,7 +495,7 @@ def test_walls_and_obstacles_shade_a_light(seeing):
     assert lit()
     assert not lit(walls=(wall,))
     assert lit(0.1, walls=(wall,))  # past its end
-    # The way to the light passes 20 mm from its middle, and then, further to the left, 6 mm.
+    # The line to the light passes 20 mm from its middle, and then, further to the left, 6 mm.
     assert lit(obstacles=(cylinder,))
     assert not lit(0.03, obstacles=(cylinder,))
     behind = (0.2, 0.0, 0.0125), (-0.06, 0.0, 0.0125)

@@ -1,4 +1,4 @@
-"""How the programs of firmware/micropython are run on a computer."""
+"""Runs the programs of firmware/micropython on a computer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ RUN = Path(__file__).parents[1] / "firmware" / "boards" / "run.py"
 
 
 def micropython(name: str, real: bool) -> list[str]:
-    """Return the words that run a program: under MicroPython, or under Python itself."""
+    """Return the command that runs a program under MicroPython, or under Python itself."""
     run = [str(RUN), str(FIRMWARE / "micropython"), name]
     if not real:
         return [sys.executable, *run]

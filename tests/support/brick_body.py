@@ -1,4 +1,4 @@
-"""A body and a clock that only remember: what stands behind a virtual brick in tests."""
+"""A body and a clock that only remember their calls, for tests of the virtual brick."""
 
 import threading
 
@@ -6,7 +6,7 @@ from neurosim.lab.nxt.body import Output
 
 
 class Body:
-    """Remembers what it is told; every sensor port gives the same raw value."""
+    """Remembers its commands; every sensor port gives the same raw value."""
 
     def __init__(self, raw=460, millivolts=7900):
         self.outputs = [Output() for _ in range(3)]
@@ -37,7 +37,7 @@ class Body:
 
 
 class LabClock:
-    """Stands until it is asked to move."""
+    """Stands still until it is asked to advance."""
 
     def __init__(self):
         self.time = 0.0

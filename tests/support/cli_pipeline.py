@@ -1,4 +1,4 @@
-"""The pipeline walked once, in the virtual lab, through the command line."""
+"""The whole pipeline, run once in the virtual lab through the command line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def neurosim(*words, cwd, check=True) -> subprocess.CompletedProcess:
 
 @dataclass
 class Pipeline:
-    """Where everything stands, and what each command printed with --json."""
+    """The paths of all folders, and the JSON that each command printed."""
 
     folder: Path
     printed: dict[str, dict]
@@ -42,7 +42,7 @@ class Pipeline:
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory) -> Pipeline:
-    """Sixty commands are no data to learn from, but every command has its turn.
+    """Run all stages. Sixty commands are too few to learn from, but suffice to run every stage.
 
     The stages run once, in whichever worker needs them first.
     """
@@ -59,7 +59,7 @@ def pipeline(tmp_path_factory) -> Pipeline:
 
 
 def stages(folder: Path) -> dict[str, dict]:
-    """Run all stages in a folder; return what each printed."""
+    """Run all stages in a folder; return the JSON that each printed."""
     steps = {
         "photographs": "lab photographs photographs --count 8",
         "calibrate": "calibrate photographs --square 40 --points photographs/points.csv",

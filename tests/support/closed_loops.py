@@ -1,4 +1,4 @@
-"""Networks of every kind, and their compiled rollouts beside the stepped ones."""
+"""Networks of every kind, and their compiled and stepped rollouts."""
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def both(simulator, family, episode, draws, genes=None):
 
 
 def assert_alike(result, expected, metres, percent, readings=1e-5):
-    """Hold a trajectory to another, within tolerances."""
+    """Compare a trajectory with another one, within tolerances."""
     assert result.poses.shape == expected.poses.shape
     assert np.abs(result.poses - expected.poses).max() < metres
     assert result.commands.shape == expected.commands.shape
@@ -58,7 +58,7 @@ def assert_alike(result, expected, metres, percent, readings=1e-5):
 
 
 def assert_reused(simulator, family, episode, draws):
-    """Hold runs into memory that was used before to one into new memory."""
+    """Compare runs that reuse memory with a run in new memory."""
     rollouts, genes = simulator.rollouts(family, episode), genes_of(family, 5)
     kept = rollouts.run(genes, draws)
     rollouts.run(genes_of(family, 6, seed=1), draws, reuse=True)

@@ -1,4 +1,4 @@
-"""A browser that clicks: Chromium over its DevTools protocol."""
+"""A browser that a test controls: Chromium over its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def find_browser() -> str:
 
 
 class Tab:
-    """One tab, whose console's complaints are kept."""
+    """One tab, whose console messages are kept."""
 
     def __init__(self, socket):
         self._socket = socket
@@ -57,9 +57,9 @@ class Tab:
                 self.complaints.append(f"{entry['text']} {entry.get('url', '')}")
 
     def open(self, url):
-        """Leave the page that is open, with its complaints, and open another."""
+        """Leave the open page, forget its console messages, and open another page."""
         self._go("about:blank")
-        self.complaints.clear()  # a page whose server went away says so until it is left
+        self.complaints.clear()  # a page whose server has ended reports it until it is left
         self._go(url)
 
     def _go(self, url):

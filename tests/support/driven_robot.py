@@ -1,4 +1,4 @@
-"""Rows of a robot that keeps a drive model's laws, but for a wobble and noise."""
+"""Rows of a robot that follows a drive model's laws, plus a wobble and noise."""
 
 import math
 
@@ -30,9 +30,9 @@ def drive_data(
 ):
     """Rows of a differential drive of 0.2 m/s and 0.1 m track, with poses within commands.
 
-    ``stops``: the fraction of wheels that are told to stand. ``wobble``: rad/s by which it turns
-    where its left wheel runs against its right. ``bend``: the fraction of its
-    speed that a wheel lacks at full command. ``curve``: speeds by commands, in place of it.
+    ``stops``: the fraction of wheels that are commanded to stand. ``wobble``: rad/s by which it
+    turns where its left wheel runs against its right. ``bend``: the fraction of its speed that a
+    wheel lacks at full command. ``curve``: speeds by commands, instead of ``bend``.
     """
     g = torch.Generator().manual_seed(seed)
     u = 2.0 * torch.rand(count, 2, generator=g, dtype=torch.float64) - 1.0

@@ -1,4 +1,4 @@
-"""Random plans, driven in a simulator and in what was exported of it."""
+"""Random plans, driven in a simulator and in its exported step."""
 
 import subprocess
 import sys
@@ -29,15 +29,15 @@ def ours(simulator):
 
 
 def random_plans(simulator: MotionNetwork, count, steps=8, seed=0, like=0.3):
-    """Return commands [count, steps, C] of float32 numbers, many as those that people write.
+    """Return commands [count, steps, C] of float32 numbers, many of them round.
 
     Args:
-        simulator: within whose domain they are.
+        simulator: the commands are in its domain.
         count: plans.
         steps: commands in each.
         seed: of all numbers.
-        like: so many of them are in whole tenths of the largest, where speeds and directions
-            often are exactly those of the command before, or their opposites.
+        like: number of plans in whole tenths of the largest command, whose speeds and directions
+            often equal those of the previous command, or their opposites.
     """
     generator = torch.Generator().manual_seed(seed)
     ends = torch.tensor(list(simulator.domain.values()), dtype=torch.float64)
@@ -73,7 +73,7 @@ def drive(step, state, commands, noise=None, parts=1):
 
 
 def printed_by_page(folder: Path):
-    """Run the block of Python on an export's page without neurosim; return the poses [T, 3]."""
+    """Run the Python code of an export's page without neurosim; return the poses [T, 3]."""
     _, block = (folder / "README.md").read_text(encoding="utf-8").split("```python\n")
     program = block.split("```")[0] + "\nimport sys\nassert 'neurosim' not in sys.modules\n"
     done = subprocess.run(

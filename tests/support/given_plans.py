@@ -1,4 +1,4 @@
-"""Plans that are written down, and the obvious way to drive them."""
+"""Plans of given commands, and the obvious method to drive them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GivenPlans(Controller):
 
     @property
     def rows(self) -> NDArray:
-        """Genes [P, 0] that stand for all of the plans."""
+        """Empty genes [P, 0], a row for each plan."""
         return np.empty((len(self.given), 0))
 
     def commands(self, genes, rest):

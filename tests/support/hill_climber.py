@@ -4,7 +4,7 @@ import numpy as np
 
 
 class HillClimber:
-    """Keeps what is better."""
+    """Keeps an individual that is better."""
 
     def __init__(self, space):
         self.space, self.rng = space, np.random.default_rng(space.seed)

@@ -1,4 +1,4 @@
-"""Random motion networks of every form, of small numbers so that nothing is wild."""
+"""Random motion networks of every form, with small numbers so that motions stay moderate."""
 
 import torch
 
@@ -36,7 +36,7 @@ def noise_model(seed=0, size=-4.0):
 def drive_model(seed=0, actuators=2, curved=True, **parts):
     """Return a drive model of a robot of about 0.3 m/s and 2 rad/s.
 
-    If not ``curved``, speeds are short of the proportional ones by one number alone.
+    If not ``curved``, a single number says how much speeds fall short of proportional ones.
     """
     shapes = DriveModel.shapes(actuators)
     names = "lag", "slowing", "braking", "rate", "curve", "stick", "delay", "kinematics"
@@ -57,7 +57,7 @@ def drive_model(seed=0, actuators=2, curved=True, **parts):
 
 
 def kernel_units(seed, count, inputs, networks):
-    """Return units near what there may be given, of small weights in each of so many networks."""
+    """Return kernel units near typical inputs, with small weights in each of the networks."""
     return KernelUnits(
         0.5 * normal(seed, count, inputs),
         0.6 + normal(seed + 1, inputs).abs(),
@@ -102,10 +102,10 @@ def random_motion_network(
         noise: whether there is a noise model; or the model.
         products: of each network.
         summations: of each network.
-        size: what the networks' outputs are scaled by, m and rad.
-        scale: what each input is scaled by.
-        meta: what else simulator.json says.
-        floor: whether there is one.
+        size: scale of the networks' outputs, m and rad.
+        scale: scale of each input.
+        meta: other keys of simulator.json.
+        floor: whether there is a floor.
     """
     derived, count = Derived(swing), members + central
     inputs = len(names) + len(derived)

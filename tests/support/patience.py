@@ -1,4 +1,4 @@
-"""How tests wait for threads and processes: until something is so, never for a length of time."""
+"""How tests wait for threads and processes: for a condition, never for a length of time."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ main()
 def ended_by(
     signal: str, words, *, log: Path | str, count: int, word: str = "", cwd: Path
 ) -> subprocess.CompletedProcess:
-    """Run a command that sends itself a signal once a log has so many rows, however fast it runs.
+    """Run a command that sends itself a signal once a log has a given number of rows.
 
     Args:
         signal: its name, such as SIGKILL.
         words: of the command line.
         log: path as the command opens it.
-        count: of the rows after which the signal is sent.
-        word: one of the values of a row that counts; any row by default.
+        count: number of rows after which the signal is sent.
+        word: only rows with this value count; by default all rows.
         cwd: folder.
     """
     script = _ENDED.format(

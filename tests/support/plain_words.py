@@ -1,4 +1,4 @@
-"""Words and patterns that do not come back in pages, messages and help.
+"""Words and patterns that are errors in pages, messages and help.
 
 docs/glossary.md has the terms to use instead.
 """

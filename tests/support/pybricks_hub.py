@@ -2,7 +2,7 @@
 
 After the Pybricks profile (pybricks/technical-info, pybricks-ble-profile.md) and the hub's own code
 (pybricks-micropython, lib/pbio/sys/command.c and host.c). Its user program is a process, whose
-stdin and stdout are the program's. bleak itself is the real one.
+stdin and stdout are the program's. The bleak library is the real one.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ class Hub:
     """One hub.
 
     Args:
-        program: words that run its user program; none if there is none on it.
-        name, address: as it is found.
-        version: of the profile.
+        program: words that run its user program; empty if the hub has no program.
+        name, address: as a scan reports them.
+        version: version of the profile.
         longest: bytes that a characteristic takes at once.
         room: bytes that its stdin holds.
 
     Attributes:
-        refused: commands that were answered by busy.
+        refused: number of commands that were answered with "busy".
         process: its user program, while it runs.
-        client: who is connected, or None.
+        client: the connected client, or None.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Hub:
         self.say_status()
 
     def say_status(self):
-        """Tell flags, program and slot to whoever is connected."""
+        """Send flags, program and slot to the connected client."""
         running = self.process is not None
         self._say(struct.pack("<BIBB", 0, running << 6 | 1 << 9, 0, 0))
 
@@ -94,7 +94,7 @@ class Hub:
             self.client.take(event)
 
     def capabilities(self):
-        """Return what the hub says of itself."""
+        """Return the hub's capabilities."""
         return struct.pack("<HII", self.longest, 0b111, 261_512)
 
     def command(self, data):
@@ -237,7 +237,7 @@ class _Client(BaseBleakClient):
 
 
 def in_reach(monkeypatch, *hubs):
-    """Have these hubs in reach of this computer's Bluetooth, and nothing else."""
+    """Put these hubs, and nothing else, within reach of this computer's Bluetooth."""
     monkeypatch.setattr(Scanner, "hubs", list(hubs))
     for what, kind in (("scanner", Scanner), ("client", _Client)):
         monkeypatch.setattr(

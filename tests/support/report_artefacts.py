@@ -1,4 +1,4 @@
-"""Small artefact folders of every kind, written by the real writers where there are any."""
+"""Small artefact folders of every kind, written by the real writers where these exist."""
 
 import math
 
@@ -101,7 +101,7 @@ def make_dataset(folder, rows=150, seed=1, virtual=True):
 
 
 def make_simulator(folder, dataset_folder, seed=0):
-    """Write a motion network with drawn weights: what it predicts does not matter here."""
+    """Write a motion network with random weights: its predictions do not matter here."""
     network = ProductSummationNetwork(5, 2, 2)
     generator = torch.Generator().manual_seed(seed)
     genes = torch.rand((3, network.genes), generator=generator, dtype=torch.float64) - 0.5
@@ -153,7 +153,7 @@ def predicted_poses():
 def make_trial(
     folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=True, probability=None
 ):
-    """Write a trial whose robot slips: the twist of every command is off by a drawn fraction."""
+    """Write a trial whose robot slips: the twist of every command is off by a random fraction."""
     rng = np.random.default_rng(seed)
     predicted = predicted_poses()
     actual, path, time = [np.array(START)], [], 0.0

@@ -1,4 +1,4 @@
-"""A report as a parser reads it, for the tests."""
+"""A parser of report pages for the tests."""
 
 import re
 from html.parser import HTMLParser

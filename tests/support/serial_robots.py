@@ -1,4 +1,4 @@
-"""An e-puck2 and a Khepera IV in software: what their published programs answer, line by line.
+"""An e-puck2 and a Khepera IV in software: the answers of their published programs.
 
 After Asercom2.c, e_motors.c, motors.h and battery_level.h of e-puck2_main-processor, and
 kh4server.c and khepera4.h of K-Team's libkhepera. Their wheels turn as they are commanded, in a
@@ -15,7 +15,7 @@ from neurosim.lab.cable import PtyCable, SerialCable
 
 
 class Quick:
-    """A clock that nobody waits for."""
+    """A clock whose sleeps take no real time."""
 
     def __init__(self):
         self._time, self._lock = 0.0, threading.Lock()
@@ -29,7 +29,7 @@ class Quick:
 
 
 class _Wheels:
-    """Two wheels, and lines that are answered."""
+    """Two wheels, and answers to lines."""
 
     limit: int
     per_second: float  # pulses of a counter at a speed of 1
@@ -39,7 +39,7 @@ class _Wheels:
         self.start()
 
     def start(self):
-        """Start anew."""
+        """Restart."""
         self.speeds, self.lamp, self._counts, self._since = (0, 0), None, [0.0, 0.0], 0.0
         self._since = self.clock.now()
 
@@ -129,7 +129,7 @@ class Khepera4(_Wheels):
 
 @contextmanager
 def on_a_line(kind):
-    """Have such a robot on a pseudo-terminal: itself and its cable."""
+    """Serve such a robot on a pseudo-terminal; give the robot and its cable."""
     robot = kind(Quick())
     with PtyCable(SerialCable(robot, robot.clock, 10 / 115_200)) as cable:
         yield robot, cable

@@ -12,7 +12,7 @@ from neurosim.simulators.tables.sensor_table import SensorTable
 
 
 class Walker(Simulator):
-    """Stands for a legged robot: steps of a gait whose phase is in the state, feet that feel."""
+    """Takes the place of a legged robot: its state has a gait's phase, its feet are sensors."""
 
     kind = "walker"
     state_names = ("x", "y", "theta", "phase")

@@ -8,7 +8,7 @@ FULL_SPEED, TRACK, LAG = 0.5, 0.13, 0.08
 
 
 class MotorLine(NamedTuple):
-    """What clocks and tracks look at in a line of commands: time (s) and two wheels (%)."""
+    """The columns of a command that clocks and tracks use: time (s) and two wheels (%)."""
 
     time: float
     left: float

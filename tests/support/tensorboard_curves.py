@@ -1,4 +1,4 @@
-"""What TensorBoard reads of a folder: the points of each curve."""
+"""The points of each curve that TensorBoard reads from a folder."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def webcam_noise(frame, sd, rng):
 
 
 def finish(image, rng=None, *, noise=2.0, blur=0.6, jpeg=None):
-    """What the camera makes of it: blur, noise, eight bits, perhaps compression."""
+    """Apply the camera's effects: blur, noise, eight bits, perhaps compression."""
     image = cv2.GaussianBlur(np.clip(image, 0, 255), (0, 0), blur) if blur else image
     if rng is not None:
         image = image + rng.normal(0.0, noise, image.shape)

@@ -1,4 +1,4 @@
-"""The camera over the board from four corners and nothing else."""
+"""The camera over the board, calibrated from four corners alone."""
 
 import math
 
@@ -62,7 +62,7 @@ def test_a_height_that_cannot_be_is_refused():
 @pytest.mark.parametrize("height", [None, 2.6])
 @pytest.mark.slow
 def test_what_is_stated_covers_usual_lenses(height):
-    """Lenses and heights as they are on the market; corners clicked to half a pixel."""
+    """Lenses and heights of common cameras; corners clicked to half a pixel."""
     rng = np.random.default_rng(6)
     turn = camera(0.05).rotation
     board = CORNERS[:, :2] * 0.8
@@ -84,7 +84,7 @@ def test_what_is_stated_covers_usual_lenses(height):
         miss = np.sqrt(((model.to_board(seen, 0.1) - spots) ** 2).sum(-1).mean())
         ratios.append(miss / model.uncertainty["board_m"])
     assert np.mean(np.array(ratios) < 2) >= 0.85
-    # Not by stating too much.
+    # The statement is not too wide either.
     assert np.sqrt(np.mean(np.square(ratios))) > 0.5
 
 

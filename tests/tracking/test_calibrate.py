@@ -220,7 +220,7 @@ def test_the_stated_uncertainty_covers_random_halves(shared_data):
     off = (np.array(result) - _lens_numbers(model))[:, :4]
     claimed = np.array([stated[name] for name in ("fx", "fy", "cx", "cy")])
     ratios = claimed / np.sqrt((off**2).mean(0))
-    # Leaving out one after the other states 0.88 of the scatter; 120 halves know it to 7 %.
+    # Leaving out one view after the other gives 0.88 of the scatter; 120 halves give it to 7 %.
     assert 0.95 < ratios.mean() < 1.15
     assert ratios.min() > 0.85
     assert (np.abs(off) < 2 * claimed).mean() > 0.9
@@ -285,7 +285,7 @@ def test_what_is_left_out_is_said_and_three_photographs_are_too_few(shared_data,
     pictures = sorted((shared_data / "chessboard").glob("*.jpg"))[:3]
     image = cv2.imread(str(pictures[0]))
     corners = Chessboard((9, 6), 0.025).find(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)).pixels
-    # A dark smear from a corner to beside it: that is where the corner seems to be.
+    # A dark smear from a corner to a point next to it, where the corner then seems to be.
     u, v = corners[22]
     cv2.line(image, (round(u) - 4, round(v) - 4), (round(u) + 3, round(v) + 3), (0, 0, 0), 5)
     cv2.imwrite(str(tmp_path / "smeared.png"), image)

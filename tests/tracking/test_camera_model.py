@@ -24,7 +24,7 @@ def looking_down(height=2.5, tilt=0.06, distortion=(-0.25, 0.08, 0.001, -0.0005,
 
 
 def undistorted_by_bisection(model, pixel):
-    """The slow way back through the lens, one point, on the radial terms alone."""
+    """Undistort one point by bisection, with the radial terms only."""
     k1, k2, _, _, k3 = model.distortion
     fx, fy = model.camera_matrix[0, 0], model.camera_matrix[1, 1]
     point = (np.asarray(pixel) - model.camera_matrix[:2, 2]) / (fx, fy)
@@ -46,8 +46,8 @@ def test_board_to_pixels_and_back(x, y, height, tilt):
 
 
 def test_a_hand_worked_point():
-    # Straight down from 2 m, f = 500 px: 0.4 m to the right is 100 px to the right, 0.2 m up
-    # the board is 50 px up the image; at half the height things look twice as far out.
+    # Straight down from 2 m, f = 500 px: 0.4 m to the right is 100 px to the right, 0.2 m up the
+    # board is 50 px up the image; at half the height distances look twice as large.
     model = CameraModel(
         (640, 480),
         [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]],

@@ -1,4 +1,4 @@
-"""CSV files become the rows that a person would write down by hand."""
+"""CSV files become rows that were worked out by hand."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ HEADER = ("time", "x", "y", "heading", "v", "w")
 def test_a_log_by_hand(tmp_path):
     path = write(tmp_path / "log.csv", HEADER, log_lines())
     dataset = import_csv(path, tmp_path / "d")
-    # It stood for a second: before that nobody knows. It moves for 4 s: pieces of 3 s and 1 s.
+    # It stood for a second: its earlier motion is unknown. It moves for 4 s: pieces of 3 s and 1 s.
     assert dataset.inputs == ("prev_v", "prev_w", "v", "w", "duration")
     assert dataset.input_array().tolist() == [[0, 0, 0.2, 0.5, 3], [0.2, 0.5, 0.2, 0.5, 1]]
     assert dataset.output_array() == pytest.approx(se2.exp(TWIST * [[3.0], [1.0]]), abs=1e-8)
@@ -172,7 +172,8 @@ def test_rows_of_displacements(tmp_path):
     path = write(tmp_path / "rows.csv", header, lines)
     dataset = import_csv(path, tmp_path / "d")
     assert dataset.inputs == ("prev_left", "prev_right", "left", "right", "duration")
-    # The second was not seen, but it is what came before the third. A turn of 7 rad stays one.
+    # The second was not seen, but it is the previous command of the third. A turn of 7 rad stays
+    # one.
     assert dataset.input_array().tolist() == [[0, 0, 10, 20, 1.5], [30, 40, 50, 60, 1]]
     assert dataset.output_array().tolist() == [[0.1, 0, 0.3], [0.2, 0.1, 7]]
     assert dataset.table["command"].tolist() == [1, 3]
@@ -218,7 +219,7 @@ def test_rows_of_poses(tmp_path):
     )
     expected = [[2, 1, np.radians(10)], [0, 0, np.radians(20)]]
     assert dataset.output_array() == pytest.approx(np.array(expected))
-    # Headings that run on over more than a turn are taken as they are.
+    # Headings that continue over more than a turn are used unchanged.
     lines.append((1, 1, 0, 0, -170, 0, 0, 300))
     dataset = import_csv(
         write(tmp_path / "rows.csv", POSES, lines),

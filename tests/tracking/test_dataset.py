@@ -1,4 +1,4 @@
-"""Displacements are right, what is unusable is left out and counted, bad files are named."""
+"""Displacements are correct, unusable rows are left out and counted, bad files are named."""
 
 import json
 import math
@@ -100,7 +100,7 @@ def test_rows_hold_the_displacement_in_the_robots_frame(tmp_path):
         [-30, -30, 0, 0, 0.5],
         [0, 0, 25, 50, 3],
     ]
-    # By hand: the previous command goes on for the delay, then the command itself.
+    # By hand: the previous command continues for the delay, then the command itself.
     previous = np.zeros(2)
     for row, (left, right, duration) in zip(
         dataset.output_array(), dataset.input_array()[:, 2:], strict=True
@@ -419,7 +419,7 @@ def test_a_dataset_without_poses_within(folder, seen):
     assert (len(dataset.within), dataset.meta["within"]) == (0, 0)
     assert dataset.within.dtypes.tolist() == Dataset.read(seen).within.dtypes.tolist()
     document = json.loads((folder / "dataset.json").read_text())
-    del document["within"]  # as it was written before there were any
+    del document["within"]  # as versions without them wrote it
     (folder / "dataset.json").write_text(json.dumps(document))
     assert Dataset.read(folder).meta["within"] == 0
 

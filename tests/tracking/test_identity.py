@@ -1,4 +1,4 @@
-"""Whether the pair after a loss must be the one from before."""
+"""Whether the pair of markers after a loss must be the one from before."""
 
 import json
 
@@ -43,7 +43,7 @@ def driving(frames, start=(100.0, 100.0), speed=0.0):
         (6, 50, 100, True),  # it was seen to drive 5 separations a second
         (30, 130, 0, True),  # 7 separations in a second
         (30, 150, 0, False),
-        (75, 100, 0, False),  # 2.5 s: it may be anywhere
+        (75, 100, 0, False),  # 2.5 s: any position is possible
     ],
 )
 def test_how_far_a_robot_can_have_come(lost_for, moved, speed, certain):
@@ -86,7 +86,7 @@ def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
     marked = doubtful(time, front, rear)
     assert not (false & ~marked).any()
     assert not (result & ~false & marked).any()
-    # The one that is where the robot was lost is it, as soon as it is seen.
+    # The pair at the position where the robot was lost is the robot, as soon as it is seen.
     assert (result & ~false)[back_at + 4 :].all()
 
 
@@ -120,7 +120,7 @@ def commanded():
 
 
 def driven(lines, times):
-    """A robot that does at once what it is told: 0.5 m/s at full speed, wheels 0.13 m apart."""
+    """A robot that follows its commands at once: 0.5 m/s at full speed, wheels 0.13 m apart."""
     now = np.searchsorted([line.time for line in lines], times, side="right") - 1
     speeds = 0.005 * np.array([(line.left, line.right) for line in lines])[np.maximum(now, 0)]
     step = np.diff(times, prepend=times[0])
@@ -136,7 +136,7 @@ def test_what_moves_as_the_robot_was_told_is_the_robot():
     poses[100:103] = np.nan
     assert follows_commands(times, poses, lines)
     assert follows_commands(times[60:500], poses[60:500], lines)
-    assert not follows_commands(times[60:200], poses[60:200], lines)  # too few commands to tell
+    assert not follows_commands(times[60:200], poses[60:200], lines)  # too few commands
     assert not follows_commands(times, np.zeros_like(poses), lines)  # one that stands still
     assert not follows_commands(times, np.full_like(poses, np.nan), lines)
     assert not follows_commands(times, poses, [])

@@ -176,7 +176,7 @@ def test_readings_and_rates(recordings, tmp_path):
     assert (warnings["fps"], warnings["episodes"]) == (5, 1)
     assert "observation.sensors" in warnings["features"]
     table = pd.read_parquet(tmp_path / "out" / "data")
-    # A feature of one number is that number, as LeRobot has it.
+    # A feature of one number is stored as this number, as in LeRobot.
     assert table["observation.sensors"].iloc[[0, -1]].tolist() == [0.25, 0.75]
     capture = cv2.VideoCapture(str(next((tmp_path / "out").rglob("*.mp4"))))
     assert capture.get(cv2.CAP_PROP_FPS) == 5

@@ -68,7 +68,7 @@ def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
         live.take(when, frame)  # returns although nothing is tracked
     go.set()
     live.close()
-    # The one that was begun, and the newest.
+    # The frame whose tracking had begun, and the newest.
     assert seen == [0, *range(10 - WAITING, 10)]
     assert live.passed_over == 9 - WAITING
 

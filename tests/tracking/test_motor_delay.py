@@ -116,7 +116,7 @@ def test_flashes_that_are_mistaken_are_noticed(off, says):
     number, side = says.split(" ms ")
     assert side in warnings
     assert float(warnings.split(" ms ")[0].split()[-1]) == pytest.approx(float(number), abs=8)
-    # A delay beyond what is looked for is none that may be corrected.
+    # A delay beyond the searched range may not be corrected.
     assert motion_delay(times + 0.2, poses, lines) is None
 
 

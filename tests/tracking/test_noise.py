@@ -6,7 +6,8 @@ from tracking.markers.noise import noise_of, passes_for, smooth
 
 
 def test_noise_of_the_chroma_by_hand():
-    # R - (G + B) / 2 and sqrt(3) / 2 (G - B) of equal noise: sqrt(1.5) of it each.
+    # R - (G + B) / 2 and sqrt(3) / 2 (G - B) of channels with equal noise: each has sqrt(1.5) times
+    # it.
     rng = np.random.default_rng(0)
     frame = np.clip(np.round(rng.normal(120, 10, (480, 640, 3))), 0, 255).astype(np.uint8)
     assert noise_of(frame) == pytest.approx(10 * 1.5**0.5, rel=0.03)

@@ -1,4 +1,4 @@
-"""Logs with several drives, clocks of their own, jumps and wrong units: mended, or said."""
+"""Logs with several drives, separate clocks, jumps and wrong units: corrected, or reported."""
 
 import numpy as np
 import pytest
@@ -119,14 +119,14 @@ def test_a_robot_that_is_carried_elsewhere_and_a_false_pose(imported):
     poses[700:, 2] = np.angle(np.exp(1j * (poses[700:, 2] + 2.0)))
     made, warnings = imported(time, poses, commands)
     assert warnings.endswith("the pose jumps once (at 35.00 s); the log is cut there")
-    # Commands go on: the first row after the jump knows its command before.
+    # Commands continue: the first row after the jump has its previous command.
     assert len(made) >= len(expected) - 1
     moved = np.hypot(*made.output_array()[:, :2].T)
     assert moved.max() < 1.0
 
 
 def test_two_samples_close_together_are_no_jump(imported):
-    """One more line where a command begins: 1 mm of noise in 2 ms is no 0.5 m/s."""
+    """One more line where a command begins: 1 mm of noise in 2 ms is not a speed of 0.5 m/s."""
     time, poses, commands = drive()
     poses[:, :2] += np.random.default_rng(0).normal(0.0, 0.001, (len(time), 2))
     twice = np.arange(20, len(time), 40)
@@ -314,7 +314,7 @@ def test_poses_that_come_less_often_than_lines(imported):
     expected, _ = imported(time, poses, commands)
     made, warnings = imported(time, poses[np.arange(len(time)) // 4 * 4], commands)
     assert warnings == ""
-    # Half of 0.2 s late on average, if they were taken as they stand.
+    # Without a correction they would be late by half of 0.2 s on average.
     assert np.abs(made.output_array() - expected.output_array()[: len(made)]).mean() < 0.01
 
 

@@ -1,4 +1,4 @@
-"""A phone as the camera: a program on it sends Motion JPEG over HTTP, at a pace of its own."""
+"""A phone as the camera: a program on it sends Motion JPEG over HTTP, at its own rate."""
 
 import http.server
 import threading
@@ -16,7 +16,7 @@ from tracking.live import LiveTracker
 from tracking.markers.tags import Tag
 
 SIZE = (320, 240)
-#: Of a picture: it has its number in it, in columns of so many pixels.
+#: Size of a picture. Columns of this many pixels encode its number.
 COLUMN = 4
 NUMBERS = SIZE[0] // COLUMN
 

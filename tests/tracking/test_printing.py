@@ -75,7 +75,7 @@ def test_a_tag_on_the_page_has_its_true_size_and_its_front_up(settings):
     np.testing.assert_allclose(right_ahead - left_ahead, (side, 0), atol=2)
     np.testing.assert_allclose(left_behind - left_ahead, (0, side), atol=2)
     np.testing.assert_allclose(right_behind - right_ahead, (0, side), atol=2)
-    # The white around it is its own, and nothing else is printed on it.
+    # The white border belongs to the marker, and nothing else is printed on it.
     low = np.floor(left_ahead - side / len(settings.printed_tag.cells) + 2).astype(int)
     high = np.ceil(right_behind + side / len(settings.printed_tag.cells) - 2).astype(int)
     plate = grey[low[1] : high[1], low[0] : high[0]].copy()

@@ -1,4 +1,4 @@
-"""The tracker on the benchmark's scenes: short clips at a small size, against their known poses."""
+"""The tracker on the benchmark's scenes: short, small clips, compared with their known poses."""
 
 import math
 

@@ -27,7 +27,7 @@ def picture(middle, heading, rng=None, *, tag=TAG, side=SIDE, paint=None, noise=
 
 
 def drive(frames=60):
-    """Places up to 7 pixels and 18 degrees apart; never along the grid in which it is painted."""
+    """Poses up to 7 pixels and 18 degrees apart; never along the grid in which it is painted."""
     for i in range(frames):
         angle = 2 * math.pi * i / frames
         yield np.array([160 + 70 * math.cos(angle), 120 + 40 * math.sin(angle)]), 3 * angle + 0.13
@@ -53,7 +53,7 @@ def test_a_tag_is_placed_to_hundredths_of_a_pixel(kind, side):
         np.testing.assert_allclose(
             true.corners.mean(axis=0) - 0.5 * true.axes[:, 1], ends[0], atol=1e-9
         )
-        # A guess as the detector gives it: off by a pixel, turned by three degrees, too large.
+        # A first guess such as the detector's: off by a pixel, turned by three degrees, too large.
         turn = np.array([[1.0, 0.05], [-0.05, 1.0]]) * 1.05
         guess = Placed(middle + rng.uniform(-1, 1, 2), turn @ true.axes)
         result = fit(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), tag, guess)
@@ -129,7 +129,7 @@ def test_of_two_of_the_same_tag_none_is_taken_until_one_is_left():
     assert tracker.undecided == 3
     frame, ends = picture((200.0, 150.0), 0.3, rng)
     np.testing.assert_allclose(pixels_of(tracker.update(frame, 1.0)), ends, atol=0.15)
-    # Once followed, a twin elsewhere changes nothing.
+    # A second, equal tag elsewhere changes nothing once the first is followed.
     frame, ends = picture((202.0, 150.0), 0.3, rng, paint=twin)
     np.testing.assert_allclose(pixels_of(tracker.update(frame, 1.03)), ends, atol=0.15)
     assert tracker.undecided == 3
@@ -158,7 +158,7 @@ def test_a_corner_under_a_cable_changes_little_and_a_hand_hides_the_tag():
         cv2.circle(image, (165, 125), 14, (120.0, 160.0, 200.0), -1)
 
     assert not tracker.update(picture(middle, heading, rng, paint=hand)[0], 0.07).in_view
-    # And found again as soon as the hand is gone, wherever it put the robot.
+    # The tag is found again as soon as the hand is gone, wherever it placed the robot.
     frame, ends = picture((60.0, 60.0), 2.0, rng)
     np.testing.assert_allclose(pixels_of(tracker.update(frame, 0.1)), ends, atol=0.15)
 

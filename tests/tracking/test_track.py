@@ -282,7 +282,7 @@ def test_markers_as_watch_saves_them(recording, frames, tmp_path):
     x, _, theta = np.transpose([pose_at(i / FPS) for i in range(120, FRAMES)])
     # Their height is known from the file.
     np.testing.assert_allclose(table["x"], x - 0.01 * np.cos(theta), atol=0.002)
-    # Other places of the markers on the robot are other poses of a recording.
+    # With other positions of the markers on the robot, a recording has other poses.
     shifted = {which: {**DEFAULT_MARKERS[which]} for which in ("front", "rear")}
     shifted["lamp"] = {**DEFAULT_MARKERS["lamp"]}
     for marker in shifted.values():
@@ -391,7 +391,8 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
     right, done = report_of("green,blue")
     assert min(seen["confidence"] for seen in right.values()) > 0.9
     assert done.stderr.count("not sure") == 0
-    # A ball and another robot's square, a pair that stands still, and what belongs to nobody.
+    # A ball and another robot's square, a pair that stands still, and markers that belong to no
+    # robot.
     for colours, video in (
         ("orange,red", "marker-pushed.avi"),
         ("pink,blue", "marker-pushed.avi"),

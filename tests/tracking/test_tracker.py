@@ -82,7 +82,7 @@ def test_a_covered_marker_has_no_pose(covered, fraction):
             assert sighting.quality == 0
             assert math.isnan(sighting.lamp)
         elif sighting.in_view:
-            # Half a marker may be seen for what it is or not at all, but never misplaced.
+            # Half a marker may be detected correctly or not at all, but never at a wrong position.
             assert np.abs(pixels_of(sighting) - truth).max() < 1.0
         if not hidden:
             assert sighting.in_view
@@ -92,7 +92,7 @@ def test_things_of_the_same_colours_capture_nothing():
     rng, tracker = np.random.default_rng(2), new_tracker()
 
     def others(image, centres):
-        # Another robot, a ball, and a lone marker in the way of the robot's.
+        # Another robot, a ball, and a single marker that could be mistaken for the robot's.
         scene.robot(image, (50.0, 40.0), 1.0, separation=50, body=(64, 18))
         scene.paint_disc(image, (280.0, 60.0), 9.0, scene.PINK, fade=False)
         scene.paint_disc(image, centres[0] + (0.0, 17.0), 6.4, scene.PINK)
@@ -317,7 +317,7 @@ def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
     for i in range(150):
         image = BACKGROUND.copy()
         own = [] if 20 <= i < 110 else [(80.0, 60.0)]
-        # The other one is seen again and again while the robot is hidden, and goes on its way.
+        # The other one is seen again and again while the robot is hidden, and drives on.
         twins(image, own + ([(240.0 - 0.5 * i, 180.0)] if i >= 10 else []))
         sighting = tracker.update(scene.finish(image, rng), i / FPS)
         if sighting.in_view:
@@ -429,7 +429,7 @@ def test_two_things_that_pass_each_other_are_forgotten():
     rng, tracker, result = np.random.default_rng(9), new_tracker(), []
     for i in range(60):
         image = BACKGROUND.copy()
-        if i < 6:  # two boxes on their ways, with nothing of the robot in view
+        if i < 6:  # two moving boxes, and no part of the robot in view
             for v, colour in ((60.0, scene.PINK), (84.0, scene.BLUE)):
                 scene.paint_disc(image, (60.0, v), 9.0, (18, 18, 18), fade=False)
                 scene.paint_disc(image, (60.0, v), 6.0, colour, fade=False)

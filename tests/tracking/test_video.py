@@ -1,4 +1,4 @@
-"""Files that are no video, or no whole one."""
+"""Files that are not a video, or are incomplete."""
 
 import struct
 import wave
@@ -46,7 +46,7 @@ def boxes(data):
 
 
 def index_first(data):
-    """An MP4 file as a phone or a web page has it: the index before the frames."""
+    """An MP4 file as phones and web pages store it: the index before the frames."""
     parts = boxes(data)
     index = bytearray(parts[b"moov"])
     table = index.find(b"stco")

@@ -219,7 +219,7 @@ def test_rows_with_larger_errors_weigh_less():
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [-1.0, 1.0, 0.0])
 def test_a_swing_is_found_where_there_is_one(side):
-    """A robot whose caster turns it by 0.1 rad for every half turn of its own."""
+    """A robot whose caster turns it by 0.1 rad for every half turn of the caster."""
     data = drive_data(400)
     columns = CommandFeatures.of(NAMES)
     x, y = data.scaled_inputs, data.y.clone()
@@ -251,7 +251,7 @@ def test_members_span_what_another_recording_of_the_same_robot_would_say():
 
 @pytest.mark.slow
 def test_intervals_hold_when_rows_are_few():
-    """A drive model leaves much less of 24 rows that it was fitted to than of others."""
+    """A drive model's errors are much smaller on its own 24 rows than on others."""
     fresh = drive_data(300, seed=99, noise=0.01)
     ranks = []
     for seed in range(4):

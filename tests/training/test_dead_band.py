@@ -54,7 +54,7 @@ def dead_bands(x, y, names=NAMES):
 @pytest.mark.parametrize("band", [(9.5, 6.5), (0.0, 4.5), (0.0, 0.0)])
 def test_each_motor_has_its_own(band):
     x = commands(400)
-    # Whole turns are among them, at whose end the way cannot be told from no way.
+    # Some are whole turns, after which the chord is zero as if the robot had not moved.
     y = driven(x, band)
     assert np.abs(y[:, 2]).max() > 2 * np.pi
     np.testing.assert_allclose(dead_bands(x, y), band, atol=1e-9)
@@ -64,7 +64,7 @@ def test_each_motor_has_its_own(band):
 def test_what_120_rows_say_of_a_command_is_right(seed, band):
     x = commands(120, seed)
     messages, size = dead_bands(x, driven(x, np.array(band), seed)), np.abs(x[:, 2:4])
-    # One per cent may pass as standing still.
+    # One percent may count as standing still.
     wrong = ((size < messages) != (size < band)) & (size > 1)
     assert wrong.sum() <= 1
 
@@ -77,7 +77,7 @@ def test_wild_rows_do_not_hide_it():
 
 
 def test_where_both_creep_neither_is_judged_alone():
-    """Slow rows are all straight: forward way is missing, and either wheel could be it."""
+    """Slow rows are all straight: forward distance is missing, and either wheel may be why."""
     x = commands(80, straight=0.0)
     x = x[(np.abs(x[:, 2:4]) > 12).all(1)]
     slow = np.repeat(np.arange(1.0, 9.0), 3)

@@ -1,4 +1,4 @@
-"""The compiled distances of rows against the drive model's own."""
+"""The compiled distances of rows, compared with those of the drive model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
 
 def several_laws(generator: torch.Generator) -> torch.Tensor:
-    """Return four models' laws [4, L, 2]: two with a delay, one that grips, one that sticks."""
+    """Return four models' laws [4, L, 2]: two with a delay, one with grip, one with friction."""
     laws = torch.zeros(4, 12, 2, dtype=torch.float64)
     laws[:, 0] = torch.rand(4, 2, generator=generator, dtype=torch.float64) - 2.0
     laws[:, 1:3] = 0.5 * torch.randn(4, 2, 2, generator=generator, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Learning the floor: what it is learned of, and when there is none."""
+"""Learning the floor: from which rows, and when no floor is learned."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def uneven(ahead, size=0.015, seed=4):
 
 
 def on(floor, data, seed=0):
-    """Return rows of a robot that begins anywhere on a floor."""
+    """Return rows of a robot that starts anywhere on a floor."""
     g = torch.Generator().manual_seed(seed)
     start = torch.rand(len(data.x), 3, generator=g, dtype=torch.float64) - 0.5
     start = start * torch.tensor([2.4, 1.6, 6.28])
@@ -47,7 +47,7 @@ def rows(count, seed, noise=0.002):
 
 
 def fitted(floor, start, moved, scatter):
-    """Return the fit of what a floor makes of rows."""
+    """Return the fit to rows on a floor."""
     after = floor.moved(start, moved) + scatter * torch.tensor([1.0, 1.0, 5.0])
     left = (after - moved)[:, [2, 0]]
     generator = torch.Generator().manual_seed(0)
@@ -69,11 +69,11 @@ def test_a_floor_is_learned_of_what_it_does(ahead):
     points = torch.stack([x.flatten(), y.flatten()], 1).double()
     true, known = at(floor, points), at(fit.floor, points)
     assert np.corrcoef(true, known)[0, 1] > 0.85
-    # Members differ by what is left open: the truth is among them.
+    # Ensemble members span the remaining uncertainty: the truth is among them.
     drawn = torch.stack([at(fit.floor, points, 1 + m) for m in range(200)])
     below = (drawn < true).double().mean(0)
     assert 0.7 < ((below > 0.05) & (below < 0.95)).double().mean() <= 1.0
-    # Other rows are told better by it, and what rows themselves add is taken out.
+    # The floor predicts other rows better, without the noise of its own rows.
     other, far, _ = rows(200, 2)
     after = floor.moved(other, far)
     error = (fit.floor.moved(other, far) - after)[:, 2].square().mean()

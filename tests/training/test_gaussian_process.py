@@ -1,4 +1,4 @@
-"""The likelihood that a process is learned by."""
+"""The likelihood that is maximised to learn a Gaussian process."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def committee(robot_data):
 
 
 class Believer:
-    """Says that a command goes straight ahead at 0.5 m/s at full speed, and prefers the far."""
+    """Predicts straight motion, 0.5 m/s at full speed, and prefers long distances."""
 
     def displacements(self, x):
         forward = 0.5 * x[:, 2] / 100 * x[:, 4]

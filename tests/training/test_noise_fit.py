@@ -1,4 +1,4 @@
-"""The noise that is learned, against noise that was planted."""
+"""The learned noise, compared with the known noise of the rows."""
 
 import pytest
 import torch
@@ -28,7 +28,7 @@ def typical_size(noise, columns, inputs, mean):
 
 
 def recorded(rows, seed=0, **planted):
-    """Return inputs, displacements, the mean that they strayed from, and the planted noise."""
+    """Return inputs, displacements, their mean, and the known noise."""
     generator = torch.Generator().manual_seed(seed)
     command = torch.rand(rows, 3, generator=generator, dtype=torch.float64) * 2.0 - 1.0
     command[:, 2] = 0.6 + 0.4 * command[:, 2]
@@ -61,14 +61,14 @@ def test_the_size_is_found_again_in_all_its_parts():
     sizes = [typical_size(model, columns, x, mean) for model in (noise, fitted_noise)]
     ratio = (sizes[1] / sizes[0]).log()
     assert ratio.square().mean(0).sqrt().max() < 0.15
-    # Straight ahead, where noise that was added to the chord would be too small.
+    # Straight ahead, where noise added to the chord would be too small.
     ahead = (mean[:, 2].abs() < 0.1) & (mean[:, 0].abs() > 0.1)
     assert ahead.sum() > 20
     assert ratio[ahead].exp().median(0).values.tolist() == pytest.approx([1.0] * 3, abs=0.15)
 
 
 def test_what_starts_from_rest_strays_more_where_it_does():
-    """The caster may stand anywhere then, and no input says where."""
+    """The caster may then point in any direction, and no input gives this direction."""
     log_scale = torch.zeros(NoiseModel.SHAPES["log_scale"])
     log_scale[:, 0] = torch.tensor([0.02, 0.001, 0.0005]).log()
     log_scale[:, SCALE_FEATURES.index("before")] = -0.4

@@ -1,4 +1,4 @@
-"""Sensors learned from readings that were made: where they are, what they see, and how exactly."""
+"""Sensors learned from computed readings: their positions, their maps, and their accuracy."""
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ def board(places):
 
 
 def readings(count=3000, seed=0, noise=0.01, after=0.06, mounts=(LEFT, RIGHT)):
-    """A robot that wanders over the board; each sensor is read so long after the look began."""
+    """A robot that wanders over the board; each sensor is read some time after the scan began."""
     rng = np.random.default_rng(seed)
     speed = np.array([0.3, 0.0, 2.0]) * rng.uniform([-1, 0, -1], 1, (count, 3))
     pose = np.concatenate([rng.uniform(-0.35, 0.35, (count, 2)), rng.uniform(-9, 9, (count, 1))], 1)
@@ -46,7 +46,7 @@ def test_mounting_map_and_noise_are_found():
     np.testing.assert_allclose(sensors.mount, [LEFT, RIGHT], atol=0.003)
     assert [one["after"] for one in about["sensors"]] == pytest.approx([0.06, 0.06], abs=0.02)
     assert sensors.place.tolist() == [0, 0]  # both see the same board
-    # Where the robot was, the sensors read what is there.
+    # Where the robot was, the maps agree with the board.
     poses = np.random.default_rng(9).uniform(-0.3, 0.3, (500, 3))
     read = sensors.read(torch.from_numpy(poses)).numpy()
     for number, mount in enumerate((LEFT, RIGHT)):

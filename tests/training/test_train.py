@@ -31,7 +31,7 @@ QUICK_OF = {"ga": QUICK, "combined": QUICK_ENSEMBLE}
 
 
 def outcome(folder):
-    """All that a training wrote, but for how long it took."""
+    """All files of a training, without the seconds that it took."""
     described = json.loads((folder / "simulator.json").read_text())
     described.pop("wall_clock")
     return described, (folder / "weights.safetensors").read_bytes()
@@ -163,7 +163,7 @@ def threads():
 def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
     tmp_path, threads, robot_data, make_dataset
 ):
-    # PyTorch cuts up products over so many rows among its threads.
+    # PyTorch divides products over this many rows among its threads.
     make_dataset(*robot_data(1300, 1)).write(tmp_path / "data")
     for count in (1, 2):
         threads(count)

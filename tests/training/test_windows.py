@@ -66,7 +66,7 @@ def test_rows_are_driven_as_the_drive_model_is_stepped():
         if not rows.joined[i]:
             before = model.shaped(rows.before[i : i + 1])
             state = model.begun(before, before)
-            # As many commands may wait as in a simulator.
+            # As many commands may be pending as in a simulator.
             missing = model.slots - state.goals.shape[1]
             state = Underway(
                 *state[:2],
@@ -75,10 +75,10 @@ def test_rows_are_driven_as_the_drive_model_is_stepped():
             )
         assert states[i] == pytest.approx(torch.cat([state.speed, state.push], 1)[0], abs=1e-9)
         pieces = model.pieces(state, goal, time)
-        # How far it came does not depend on how it is cut.
+        # The distance does not depend on how the command is cut.
         assert features[row == i].sum(0)[:2] == pytest.approx(sum(pieces)[0, :2], abs=1e-9)
         assert lasts[row == i].sum() == pytest.approx(float(time))
-        # Nor does what comes of what is said to be under way.
+        # Neither do the pending commands.
         again = Underway(*(part[i : i + 1] for part in under))
         assert model.reached(again, goal, time)[0] == pytest.approx(
             model.reached(state, goal, time)[0], abs=1e-9
@@ -92,7 +92,8 @@ def test_windows_by_hand():
     joined = torch.tensor([False, *[True] * 7, False, *[True] * 3])
     windows = windows_of(time, joined)
     result = list(zip(*(part.tolist() for part in windows[:3]), strict=True))
-    # Of 0.25 s each row; of 1 s from each row on, or nearly so long; none across the break.
+    # Windows of 0.25 s are single rows; windows of about 1 s begin at each row; none crosses the
+    # break.
     assert [f for f in result if f[2] == 0] == [(k, k + 1, 0) for k in range(12)]
     assert [f for f in result if f[2] == 2] == [(k, k + 4, 2) for k in (0, 1, 2, 3, 4)] + [
         (5, 8, 2),
@@ -101,7 +102,7 @@ def test_windows_by_hand():
     ]
     assert [f for f in result if f[2] == 3] == [(0, 8, 3), (2, 8, 3)]
     assert all(not first < 8 < end for first, end, _ in result)
-    # Those of a length that do not overlap count as much as they last, of the longest.
+    # Windows of a length that do not overlap have the weight of their duration over the longest.
     assert windows.weight[:12].tolist() == pytest.approx([0.25 / 2.0 / len(LENGTHS)] * 12)
 
 
@@ -145,9 +146,9 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     assert simulator.drive.lag.tolist() == pytest.approx([0.15, 0.25], abs=0.05)
     other = dataset_of(joystick(np.random.default_rng(3), 60.0, model))
     errors = table_of_errors(simulator, other)
-    # In windows of 1 s, of ways of 20 cm and turns of 60 degrees.
+    # In windows of 1 s, with distances of 20 cm and turns of 60 degrees.
     assert errors["dx"]["mean_absolute_error"] < 1.0
     assert errors["dtheta"]["mean_absolute_error"] < 3.0
-    # The poses that it was told nothing of add up.
+    # The errors of poses that it was not given add up.
     moved = predict(simulator, other)
     assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)

@@ -1,4 +1,4 @@
-"""A recording that a network drives, and the dataset of it."""
+"""A recording that a network drives, and its dataset."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Controllers that see, and plans without a camera, driven in the virtual lab and judged."""
+"""Closed-loop controllers, and plans without a camera, driven in the virtual lab and judged."""
 
 import json
 import math
@@ -90,7 +90,7 @@ def test_a_network_on_the_nxt_goes_by_its_light_sensors(tmp_path):
     )
     assert report["deadlines"]["steps"] == len(report["commands"]) == 20
     assert report["deadlines"]["missed"] == 0
-    # It does what the network says of what it read, and stays at the line.
+    # It follows the network's answer to its readings, and stays at the line.
     seen = Recording(tmp_path / "t").observations()
     wanted = 40 * np.tanh(20 * seen.readings[:20] - 8)
     np.testing.assert_allclose([command[:2] for command in report["commands"]], wanted)
@@ -128,7 +128,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
     off = path[:, 1:3] - truth.pose_at(path[:, 0])[:, :2]
     assert np.abs(off).max() < 0.02
     assert len(actual["poses"]) == len(report["commands"]) + 1
-    # Held against the same controller again, and refused with another.
+    # Compared with the same controller again; another controller is an error.
     again = compare(folder, tmp_path / "t")
     assert {**again, "created": ""} == {**report, "created": ""}
     other = saved(tmp_path / "other", family, np.add(weights, 0.1), task)
@@ -140,7 +140,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
 def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed(tmp_path):
     goal = (0.5, 0.15, 0.6)
     task = GoTo(goals=(goal,), tolerance=0.03, heading_tolerance=0.09)
-    # Straight on: as it is, it leads elsewhere; and what pushes the robot leads it farther away.
+    # Straight on: the plan itself misses the goal, and the push moves the robot farther away.
     family = FixedPlan(((40.0, 40.0, 2.0), None, None, None))
     content = {
         "poses": [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]], "rest": [0.4, 0.0, 0.0], "fitness": 0.5,
@@ -168,7 +168,7 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     assert report["predicted"]["probability"] is None
     assert report["deadlines"]["steps"] == len(report["commands"])
     assert report["deadlines"]["missed"] == 0
-    # Every command is held against what was predicted as it was given, the start before them.
+    # Every command is compared with the prediction at its start; the start pose comes first.
     assert len(report["predicted"]["poses"]) == len(report["errors"]) == len(report["commands"]) + 1
     off = [error["position"] for error in report["errors"]]
     assert max(off) > 0.05  # the push
@@ -207,7 +207,7 @@ def test_a_network_of_eight_sensors_on_the_khepera_and_its_path_by_odometry(tmp_
     # Five seconds of odometry are a few millimetres off.
     assert math.dist(actual["rest"][:2], truth[:2]) < 0.02
     assert math.dist(actual["rest"][:2], start[:2]) > 0.05
-    # Two starts were they both like this one; at most a point a step.
+    # This is one of two starts; at most one point a step.
     assert 20 < actual["fitness"] < 100
     assert set(report["observations"]["sensors"]) == set(names)
     assert json.loads((tmp_path / "t" / "trial.json").read_text())["kind"] == "network"
@@ -296,7 +296,7 @@ def test_a_driver_asks_as_a_simulator_does():
         given, memory = family.act(tensor(genes[None]), seen, memory)
         assert [*command.numbers] == pytest.approx(given[0].tolist(), rel=1e-12)
         assert command.duration == task.step
-    assert drive() == first  # begun anew, nothing of before is left
+    assert drive() == first  # restarted, with nothing left from before
 
 
 def test_speeds_that_are_none_are_refused_and_too_fast_ones_cut_off():

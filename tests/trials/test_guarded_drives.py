@@ -1,4 +1,4 @@
-"""Drives into the line, over the edge, unseen and from beside the start, against the simulator."""
+"""Drives into the line, over the edge, unseen, and from a wrong start, against the simulator."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ TASK = GoTo(goals=((0.0, 0.0, 0.0),), within=0.02, tolerance=0.02)
 
 @pytest.fixture
 def drive(tmp_path):
-    """Drive a controller in the virtual lab, from where it is put; return trial.json."""
+    """Drive a controller in the virtual lab, from a given pose; return trial.json."""
 
     def run(controller, put=None, *, covered=None, **options):
         folder = controller.write(tmp_path / "c") or tmp_path / "c"
@@ -107,7 +107,7 @@ def test_a_drive_into_the_line_ends_where_the_simulator_says(drive, tmp_path):
     assert report["actual"]["reason"].startswith("was stopped at the perimeter line by its light")
     assert "into command 1" in report["actual"]["reason"]
     assert report["guard"] == {"predicted": True, "driven": True}
-    # The page shows the place, and says it.
+    # The page shows the place, and names it.
     write_report([tmp_path / "c", tmp_path / "t"], tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "was stopped at the perimeter line" in page

@@ -1,4 +1,4 @@
-"""Sensors from a recording to a drive: recorded, learned, evolved in, and driven by."""
+"""Light sensors from recording to drive: recorded, learned, used in evolution and in a drive."""
 
 import json
 
@@ -25,7 +25,7 @@ POSITION = Guard(by="position")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Forty commands are no data to learn a board from, but every stage has its turn."""
+    """Forty commands are too few to learn a board, but suffice to run every stage."""
     folder = tmp_path_factory.mktemp("line")
     with VirtualRig(2, noise_seed=3, camera_size=SIZE, around=TASK.place) as rig:
         optics = rig.camera.optics
@@ -67,7 +67,7 @@ def test_a_dataset_says_where_readings_were_taken(made):
     assert json.loads((made / "dataset" / "dataset.json").read_text())["readings"] > 300
     table = dataset.readings
     assert dataset.split()[0].readings is table
-    # By the lab's own board: where the left sensor truly looked when it was read.
+    # From the lab's own board: the true position of the left sensor when it was read.
     with VirtualRig(2, noise_seed=3, camera=False, around=TASK.place) as rig:
         light = []
         for row in table.itertuples():

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 
 class Ideal(Simulator):
-    """A robot of the lab that does at once what it is commanded."""
+    """A robot of the lab that follows its commands at once."""
 
     state_names = ("x", "y", "theta")
 
@@ -39,7 +39,7 @@ class Ideal(Simulator):
 
     @property
     def domain(self):
-        # Slowly: the robot is not as quick as this simulator.
+        # Slowly: the robot reacts more slowly than this simulator.
         fractions = (0.4 if one.speed else 1.0 for one in self.takes.numbers)
         pairs = zip(self.takes.numbers, fractions, strict=True)
         return {one.name: (fraction * one.low, fraction * one.high) for one, fraction in pairs}
@@ -54,7 +54,7 @@ class Ideal(Simulator):
 
 
 def drive(kind, folder, controller, **options):
-    """Return what trial.json says, and how far off its path was, m and rad (RMS)."""
+    """Return trial.json, and the RMS error of its path, m and rad."""
     lab = {"noise_seed": 4, "camera_size": SIZE}
     with VirtualRosRig(2, **lab) if kind == "ros" else VirtualLinesRig(2, kind=kind, **lab) as rig:
         optics = rig.camera.optics
@@ -81,7 +81,7 @@ def test_a_plan_that_was_evolved_drives_it(kind, tmp_path):
     assert [one["name"] for one in report["columns"]] == [*TAKES[kind].names, "duration"]
     assert report["commands"] == [pytest.approx(one) for one in saved.given]
     assert report["ended_early"] is False
-    # The robot is not ideal, and where it was is known for all that: also without a lamp.
+    # The robot is not ideal, but its poses are known, even without a lamp.
     last = report["errors"][-1]
     assert 0.005 < last["position"] < 0.25
     assert (off < (0.006, 0.006, 0.03)).all()

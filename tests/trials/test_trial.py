@@ -1,4 +1,4 @@
-"""A trial held against its prediction, on recordings made by hand."""
+"""A trial compared with its prediction, on recordings made by hand."""
 
 import json
 import math
@@ -26,7 +26,7 @@ def predicted() -> list[list[float]]:
 
 
 def make(folder, *, scale=1.0, cut_at=None):
-    """Write plan and recording; the robot drives ``scale`` times what was predicted."""
+    """Write plan and recording; the robot drives ``scale`` times the predicted distance."""
     plan = SavedController(
         FixedPlan((COMMANDS[0], None, *COMMANDS[1:])),
         np.empty(0),
@@ -93,7 +93,7 @@ def test_a_command_that_was_cut_is_no_error_of_the_simulator(tmp_path):
     assert report["errors"][1:] == [None] * 3
     assert report["actual"]["poses"][1:] == [None] * 3
     assert report["actual"]["cut"][1] == pytest.approx(0.25, abs=5e-3)
-    # Only what was given counts: one command, which did not leave the start rectangle.
+    # Only the given commands count: one, which did not leave the start rectangle.
     assert report["actual"]["fitness"] == pytest.approx(-0.1, abs=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Driving by hand as a person does: keys in a real browser, a robot of the lab, a real video."""
+"""Driving by hand: keys in a real browser, a robot of the lab, a real video."""
 
 import re
 import signal
@@ -27,7 +27,7 @@ from tracking.markers.colours import parse_colour
 
 SIZE = (320, 240)
 REST = (0.0, 0.0)
-#: A robot that was sent nothing stands.
+#: The command of a robot that stands.
 LINE = SimpleNamespace(numbers=REST)
 STANDING = "document.getElementById('standing').textContent"
 
@@ -50,7 +50,7 @@ def words(*words, cwd):
 
 @contextmanager
 def recorded(folder, *options):
-    """Begin a recording by hand; give the process, its page's address, and what it says."""
+    """Begin a recording by hand; give the process, its page's address, and its messages."""
     optics = Optics(CameraParams(size=SIZE))
     lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
     CameraModel(SIZE, *lens).write(folder / "calibration.json")
@@ -100,7 +100,7 @@ def frames(folder):
     return (folder / "frames.csv").read_text().count("\n")
 
 
-#: What keys do to a robot on two wheels at 60 % of its speed.
+#: Commands of keys for a robot on two wheels at 60 % of its speed.
 DRIVES = {"KeyW": (60, 60), "KeyA": (-60, 60), "ArrowDown": (-60, -60), "ArrowRight": (60, -60)}
 
 
@@ -134,7 +134,7 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
         tab.click_on("#end")
         assert child.wait(timeout=PATIENCE) == 0, output
     tab.open("about:blank")
-    tab.complaints.clear()  # the browser's word on the server that went away
+    tab.complaints.clear()  # the browser's message about the server that has ended
     # Each press is a line at the time of its press; what was pressed follows in the same order.
     lines = [line for line in motor(folder) if line.kind == "command" and any(line.numbers)]
     pressed = [numbers for numbers, _ in groupby(line.numbers for line in lines)]
@@ -142,7 +142,7 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
     left = iter(pressed)
     assert all(numbers in left for numbers in expected), pressed
     assert {*pressed} <= {*expected}
-    # It did what was pressed.
+    # The robot followed the keys.
     truth = read_truth(folder)
     assert np.ptp(truth.poses[:, 2]) > 0.1
     recording = Recording(folder)
@@ -198,7 +198,7 @@ PADS = "navigator.getGamepads = () => [{{connected: true, id: 'pad', axes: {}}}]
 
 @contextmanager
 def page(tab, takes):
-    """Give the hand of a page without a camera or a robot."""
+    """Give the input of a page without a camera or a robot."""
     hand = Hand(100.0)
     colours = (parse_colour("pink"), parse_colour("blue"))
     viewer = Viewer(
@@ -252,7 +252,7 @@ def test_buttons_are_levers_too_and_a_hidden_page_lets_go(tab):
                 "document.dispatchEvent(new Event('visibilitychange'))")  # fmt: skip
         wait_until(lambda: hand.wish() is None, "nobody who drives")
         tab.run("delete document.hidden")
-        # The key that is still down was let go for the page.
+        # For the page, the key that is still down was released.
         wait_until(lambda: hand.wish() == (0, 0), "a page that is back")
         tab.key("Up", "KeyA")
         # Another window of the browser takes the keys.

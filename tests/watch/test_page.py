@@ -116,7 +116,7 @@ def chosen(mode):
 
 
 def test_a_student_sets_colours_and_corners_and_saves_them(tab, tmp_path):
-    """Begun with the wrong colours; ended with files that the other commands take."""
+    """It begins with wrong colours, and ends with files that the other commands accept."""
     with (
         Scene(tmp_path, ("green", "orange"), lens=True) as scene,
         PageServer(scene.viewer) as server,
@@ -154,7 +154,7 @@ def test_a_student_sets_colours_and_corners_and_saves_them(tab, tmp_path):
         assert model.has_board
         assert model.image_size == (640, 480)
         assert read_markers(tmp_path / "markers.json")["front"]["colour"].startswith("#")
-        # A file that was there before is not replaced unasked.
+        # An existing file is not replaced without a question.
         (tmp_path / "markers.json").write_text("mine")
         scene.viewer._saved.clear()
         tab.click_on("button[data-save=markers]")
@@ -200,11 +200,11 @@ def test_a_page_that_outlives_its_server_says_so(tab, tmp_path):
             tab.open(server.url)
             tab.until(f"{STATUS} === 'the robot is seen'")
         tab.until(f"{STATUS}.includes('neurosim has ended')")
-    tab.complaints.clear()  # the browser's word on the server that went away
+    tab.complaints.clear()  # the browser's message about the server that has ended
 
 
 def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
-    """The other page even knows the secret; the server does not so much as look for a picture."""
+    """The other page even knows the secret; the server does not fetch a picture."""
     with (
         Scene(tmp_path) as scene,
         Scene(tmp_path / "other") as elsewhere,
@@ -216,7 +216,7 @@ def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
             monkeypatch.setattr(
                 scene.viewer, name, lambda *_, **__: answered.append(1) or (b"", {})
             )
-        # Without its own policy in the way, which would refuse first.
+        # Without the page's own policy, which would block the request first.
         tab.call("Page.setBypassCSP", enabled=True)
         for host in ("localhost", "127.0.0.1"):  # another site, and another port of the same
             tab.open(other.url.replace("127.0.0.1", host))
@@ -283,7 +283,7 @@ def draw(tab, scene, part, *points, says, width=None):
 
 
 def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path):
-    """Every part, by a lens that is known and corners that are clicked; wrong clicks are undone."""
+    """Every part, with a known lens and clicked corners; wrong clicks are undone."""
     with Scene(tmp_path, lens=True, around=SKETCH) as scene, PageServer(scene.viewer) as server:
         scene.pose = None
         tab.open(server.url)
@@ -304,7 +304,7 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
         tab.click_on("button[data-save=place]")
         tab.until(f"{SAYS}.includes('finish the outline first')")
         tab.until("drawing.clicks.length === 2")
-        # A corner too many is undone, and the outline goes on.
+        # A corner too many is undone, and the outline continues.
         draw(tab, scene, "outline", (0.2, 0.1), says="or finish")
         tab.click_on("#undo")
         tab.until(f"{SAYS} === 'the last click on the outline is undone'")
@@ -368,7 +368,7 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
     words = ["view", str(tmp_path / "place.json"), "-o", str(tmp_path / "place.png")]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
-    # It is shown when it is given again, and goes on from there.
+    # It is shown when it is given again, and can be continued.
     (tmp_path / "again").mkdir()
     with (
         Scene(tmp_path / "again", around=SKETCH, place=result) as scene,
@@ -380,4 +380,4 @@ def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path
         tab.click_on("button[data-save=place]")
         tab.until(f"{SAYS}.includes('place.json is written')")
         assert Place.read(tmp_path / "again" / "place.json").lights[:1] == result.lights
-    tab.complaints.clear()  # the browser's word on the servers that went away
+    tab.complaints.clear()  # the browser's message about the servers that have ended

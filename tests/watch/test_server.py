@@ -1,4 +1,4 @@
-"""Who gets an answer from the page's server, and who does not."""
+"""Which requests the page's server answers, and which it rejects."""
 
 import http.client
 import json
@@ -246,12 +246,12 @@ def test_a_reader_waits_for_the_next_picture_and_gets_each_once(viewer):
 
 @pytest.mark.slow
 def test_connections_that_ask_for_nothing_are_few_and_closed(server, monkeypatch):
-    """Over a thousand held ones killed it, and took a recording's descriptors."""
+    """Over a thousand open connections killed it, and used up a recording's descriptors."""
     address = server.address
     monkeypatch.setattr(server_module, "ASK_WITHIN", 0.5)
     held = [socket.create_connection(address) for _ in range(100)]
     for each in held[::2]:
-        each.sendall(b"GET / HT")  # half of what is asked
+        each.sendall(b"GET / HT")  # half of a request
     wait_until(lambda: len(server._server.asking) <= server_module.CONNECTIONS, "few connections")
     for each in held:
         each.settimeout(PATIENCE)

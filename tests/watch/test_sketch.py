@@ -1,4 +1,4 @@
-"""Clicks on the floor that become a place: each part with numbers by hand."""
+"""Clicks on the floor become a place: each part with numbers by hand."""
 
 import math
 
@@ -29,7 +29,7 @@ def test_each_part_by_hand():
     assert sketched("wall", (0.1, 0.2), (0.3, 0.2)).walls == ((0.1, 0.2, 0.3, 0.2),)
     [(x, y, radius)] = sketched("cylinder", (0.1, 0.2), (0.13, 0.24)).obstacles
     assert (x, y, radius) == (0.1, 0.2, pytest.approx(0.05))
-    # The third click says how deep a box is, and on which side; a point anywhere on it will do.
+    # The third click sets the depth and the side of a box; any point on that edge is accepted.
     assert sketched("box", (0.0, 0.0), (0.2, 0.0), (0.7, -0.1)).walls == (
         (0.0, 0.0, 0.2, 0.0), (0.2, 0.0, 0.2, -0.1), (0.2, -0.1, 0.0, -0.1), (0.0, -0.1, 0.0, 0.0),
     )  # fmt: skip
@@ -79,7 +79,7 @@ def test_a_part_that_cannot_be_is_refused_and_the_place_stays(part, points, mess
     with pytest.raises(UserError, match=message):
         draw()
     assert sketch.place == BARE
-    # What led there is kept, to be undone or done better.
+    # The earlier clicks are kept, to be undone or corrected.
     assert len(sketch.points) == (len(points) if part in ANY_NUMBER else len(points) - 1)
 
 

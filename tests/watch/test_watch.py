@@ -1,4 +1,4 @@
-"""The command from outside: how it begins and how it ends."""
+"""The command itself: how it begins and how it ends."""
 
 import json
 import os

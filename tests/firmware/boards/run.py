@@ -9,7 +9,7 @@ import time
 
 if sys.implementation.name == "micropython":
     ticks = time.ticks_ms
-else:  # Python itself, where MicroPython's unix port is not to be had
+else:  # Python itself, where MicroPython's unix port is not available
 
     def ticks():
         return int(1000 * time.monotonic())
@@ -73,7 +73,7 @@ class ADC:
 
 
 class Poll:
-    """What waits for input; the motors turn meanwhile."""
+    """Waits for input; the motors turn meanwhile."""
 
     def __init__(self):
         self.real, self.last = REAL.poll(), ticks()
