@@ -116,7 +116,15 @@ def main() -> None:
             if not options.json:
                 describe(drives, goes)
     if options.json:
-        print(json.dumps({"settings": vars(options), "drives": drives, "go_to": goes}))
+        there = {"simulator": arrived(goes, False), "lab": arrived(goes, True)}
+        settings = vars(options)
+        print(json.dumps({"settings": settings, "drives": drives, "go_to": goes, "there": there}))
+
+
+def arrived(goes: list[dict], lab: bool) -> dict[str, int]:
+    """Return how many poses were reached, and of how many."""
+    own = [one["there"] for one in goes if one["lab"] is lab]
+    return {"reached": sum(own), "of": len(own)}
 
 
 class Physics:

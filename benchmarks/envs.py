@@ -71,7 +71,8 @@ def main() -> None:
     if options.json:
         machine = {"cores": os.cpu_count(), "numba_threads": numba.get_num_threads()}
         machine["load"] = os.getloadavg()[0]
-        print(json.dumps({"machine": machine, "rows": rows, "ratios": result}))
+        rates = {one["name"]: one["steps_per_second"] for one in rows if one["robots"] == compared}
+        print(json.dumps({"machine": machine, "rows": rows, "rates": rates, "ratios": result}))
         return
     for one in rows:
         print(f"{one['name']:28}  {one['robots']:6}  {one['steps_per_second']:14,.0f}")

@@ -59,6 +59,8 @@ def main() -> None:
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as name:
             row = one(seed, Path(name), task, options)
+        for laps in ("laps", "expected_laps"):
+            row[laps] = sorted(row[laps])
         rows.append({"robot": seed, **row, "seconds": round(time.perf_counter() - began)})
         print(f"robot {seed}: {rows[-1]}", file=sys.stderr, flush=True)
     if options.json:

@@ -258,20 +258,28 @@ def one_seed(
     }
 
 
+def over_seeds(rows: list[dict[str, Any]]) -> dict[str, dict[str, str]]:
+    """Return median, least and most over seeds, in words, of each method's three measures."""
+    cells: dict[str, dict[str, str]] = {}
+    for name in (one for one in METHODS if one in rows[0]["held out"]):
+        cells[name] = {}
+        for what in ("rank", "pixels", "roots"):
+            values = [row["held out"][name][what] for row in rows]
+            if None not in values:
+                low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
+                cells[name][what] = f"{middle:.2f} ({low:.2f} to {high:.2f})"
+    return cells
+
+
 def summary(rows: list[dict[str, Any]]) -> str:
     """Return the table of medians over seeds, for a person."""
     text = f"{len(rows)} seeds of {rows[0]['sampled']} trials; "
     text += "medians, in brackets the least and the most\n"
     text += f"  {'':36s}{'rank':>20s}{'error px / noise':>22s}{'error roots / noise':>22s}\n"
-    for name in (one for one in METHODS if one in rows[0]["held out"]):
+    for name, cells in over_seeds(rows).items():
         text += f"  {name:36s}"
         for what, width in (("rank", 20), ("pixels", 22), ("roots", 22)):
-            values = [row["held out"][name][what] for row in rows]
-            cell = "-"
-            if None not in values:
-                low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
-                cell = f"{middle:.2f} ({low:.2f} to {high:.2f})"
-            text += f"{cell:>{width}s}"
+            text += f"{cells.get(what, '-'):>{width}s}"
         text += "\n"
     noise = rows[0]["noise"]
     text += f"noise of repeats: {noise[0]:.1f} px, {noise[1]:.2f} in square roots\n"
@@ -296,7 +304,8 @@ def main() -> None:
         rows = all_seeds(options)
     except UserError as error:
         sys.exit(f"{parser.prog}: {error}")
-    print(json.dumps({"seeds": rows}) if options.json else summary(rows))
+    result = {"seeds": rows, "over_seeds": over_seeds(rows)}
+    print(json.dumps(result) if options.json else summary(rows))
 
 
 def all_seeds(options: argparse.Namespace) -> list[dict[str, Any]]:

@@ -2,9 +2,10 @@
 
     python benchmarks/reference.py [DATASET] [--members N] [--json]
 
-The training is that of ``neurosim train DATASET``: all but the last fifth of the rows in time, with
-the default settings. Next to it stand the ideal unicycle, fitted to the same rows, and the paper's
-own robot.
+DATASET is a dataset, or a folder with the Odometry and Groundtruth files of a UTIAS recording. The
+training is that of ``neurosim train DATASET``: all but the last fifth of the rows in time, with the
+default settings. Next to it stand the ideal unicycle, fitted to the same rows, and the paper's own
+robot.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from neurosim.training.evaluate import UNITS, evaluate
 from neurosim.training.train import train
+from tracking.datasets.mrclam import import_mrclam
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 
@@ -27,9 +29,11 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / "simulator"
-        simulator = train(options.dataset, folder, members=options.members)
-        table = evaluate(folder, options.dataset)
+        folder, dataset = Path(name) / "simulator", options.dataset
+        if not (dataset / "dataset.json").exists():
+            import_mrclam(dataset, dataset := Path(name) / "dataset")
+        simulator = train(dataset, folder, members=options.members)
+        table = evaluate(folder, dataset)
     columns = {"neurosim": table["errors"], "paper": table["paper"]}
     if table["baseline"] is not None:
         columns["unicycle"] = table["baseline"]["errors"]

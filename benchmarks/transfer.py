@@ -89,14 +89,15 @@ def main() -> None:
                 rows.append(run(kind, robot, sampled, options))
                 if not options.json:
                     describe_row(rows[-1])
+    by_kind = {kind: [row for row in rows if row["tables"] == kind] for kind in options.tables}
     if options.json:
-        print(json.dumps({"baud": options.baud, "rows": rows}))
+        medians = {kind: typical(own, statistics.median) for kind, own in by_kind.items()}
+        print(json.dumps({"baud": options.baud, "rows": rows, "medians": medians}))
         return
-    for kind in options.tables:
-        result = [row for row in rows if row["tables"] == kind]
-        print(f"{kind}, medians of {len(result)} runs, the least and the most of them")
+    for kind, own in by_kind.items():
+        print(f"{kind}, medians of {len(own)} runs, the least and the most of them")
         for of in (statistics.median, min, max):
-            describe_row({name: typical([row[name] for row in result], of) for name in result[0]})
+            describe_row(typical(own, of))
 
 
 def run(
@@ -266,9 +267,12 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(one[..., :2] - other[..., :2], axis=-1)))
 
 
-def typical(values: list[Any], of: Callable[[list[Any]], Any]) -> Any:
-    """Return the median (or other) of numbers, what all have in common otherwise."""
-    return values[0] if isinstance(values[0], str) else of(values)
+def typical(rows: list[dict[str, Any]], of: Callable[[list[Any]], Any]) -> dict[str, Any]:
+    """Return a row of the medians (or other) of numbers, and of the text that all rows have."""
+    return {
+        name: value if isinstance(value, str) else of([row[name] for row in rows])
+        for name, value in rows[0].items()
+    }
 
 
 def describe_row(row: dict[str, Any]) -> None:
