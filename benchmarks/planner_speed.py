@@ -13,6 +13,7 @@ decoding, rollout, fitness, selection, crossover, mutation.
 
     python benchmarks/planner_speed.py                   about 4 minutes, of which 2 to train
     python benchmarks/planner_speed.py --quick           100 generations, no training
+    python benchmarks/planner_speed.py --settings        how many of 30 runs find a course
 
 MuJoCo is optional: pip install mujoco.
 """
@@ -24,6 +25,7 @@ import json
 import os
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -31,8 +33,9 @@ import numpy as np
 import torch
 
 from neurosim.controllers import Plan
+from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.evolve import Evolution
+from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.search import Search
 from neurosim.loop.settings import default_settings
 from neurosim.networks import ProductSummationNetwork
@@ -43,6 +46,8 @@ from neurosim.training.train import train
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 COMMANDS, POPULATION = 13, 250
+#: Of --settings.
+RUNS = 30
 
 #: The robot of the lab, in metres and kilograms: 56 mm wheels 13 cm apart, a smooth caster.
 ROBOT = """
@@ -79,9 +84,14 @@ def main() -> None:
     parser.add_argument("--simulator", type=Path, help="a folder; trained if not given")
     parser.add_argument("--dataset", type=Path, default=REFERENCE)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--settings", action="store_true", help="runs that find a course instead")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     generations = 100 if options.quick else 1000
+    if options.settings:
+        found = {str(slots): finders(options, slots, generations) for slots in (10, COMMANDS)}
+        print(json.dumps({"runs": RUNS, "found": found}) if options.json else found)
+        return
     simulators = {"paper's size": papers_size()}
     if options.simulator is not None:
         simulators["default"] = read_simulator(options.simulator)
@@ -104,6 +114,28 @@ def main() -> None:
         seconds = row["seconds_per_1000_generations"]
         shown = f"{seconds:32.2f}" if seconds is not None else f"{'-':>32}"
         print(f"{row['name']:42}  {shown}   {row['command_steps_per_second']:20,.0f}")
+
+
+def finders(options: argparse.Namespace, slots: int, generations: int) -> dict[str, int]:
+    """Return how many runs find a course, with the default settings, others, and the paper's."""
+    task, family = NineRectangles(), Plan(slots=slots)
+    with tempfile.TemporaryDirectory() as folder:
+        simulator = options.simulator or Path(folder) / "simulator"
+        if options.simulator is None:
+            train(options.dataset, simulator)
+        found = {}
+        usual = default_settings(family, task, runs=RUNS, generations=generations)
+        tournament = replace(usual.genetic, tournament=50)
+        for name, settings in {
+            "default": usual,
+            "tournament of 50": replace(usual, genetic=tournament),
+            "paper": replace(usual, genetic=GeneticSettings(), insertion=False),
+        }.items():
+            evolved = evolve(
+                read_simulator(simulator), task, family, settings=settings, seed=904, progress=False
+            )
+            found[name] = sum(one.predicted["completes"] for one in evolved)
+    return found
 
 
 def papers_size() -> MotionNetwork:

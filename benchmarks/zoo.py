@@ -608,7 +608,7 @@ def main() -> None:
             show(size, robots, total)
             sys.stdout.flush()
     if worst:
-        result["ours"] = {"mean": geometric(ratios), "worst": max(worst)}
+        result["ours"] = {"mean": geometric(ratios), "worst": max(worst), "cases": len(ratios)}
         if not options.json:
             ratio, name, output, size = max(worst)
             print(
