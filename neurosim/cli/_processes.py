@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -18,6 +17,8 @@ from neurosim.base.errors import UserError
 
 #: Seconds in which a command that is interrupted writes what it has.
 ENDING = 30.0
+#: Seconds after which, at most, a worker of a cluster notices that it is cancelled.
+WORKER_NOTICES = 2.0
 
 
 class Processes:
@@ -66,20 +67,16 @@ class Processes:
         return dict(json.loads(printed))
 
     def end(self) -> None:
-        """Interrupt what runs, as Ctrl-C does, and start nothing more."""
+        """Interrupt what runs, and start nothing more."""
         with self._lock:
             self._ended, running = True, list(self._running)
+        if self._ray is None:
+            _interrupt(running)
+            return
         for one in running:
-            if self._ray is None:
-                with suppress(OSError):
-                    one.send_signal(signal.SIGINT)
-            else:
-                self._ray.cancel(one, force=True)
-        for one in running if self._ray is None else ():
-            try:
-                one.wait(ENDING)
-            except subprocess.TimeoutExpired:
-                one.kill()
+            self._ray.cancel(one)
+        if running:
+            self._ray.wait(running, num_returns=len(running), timeout=ENDING + WORKER_NOTICES)
 
     def _start(self, start: Any, *args: Any, **kwargs: Any) -> Any:
         with self._lock:
@@ -112,9 +109,32 @@ class Processes:
 
 
 def _run(words: list[str], environment: dict[str, str], folder: str) -> tuple[int, str, str]:
-    """Run a command in a worker of a cluster, by its own Python."""
-    words = [sys.executable, *words]
-    done = subprocess.run(
-        words, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False
+    """Run a command in a worker of a cluster, by its own Python; end it when this is cancelled."""
+    words, pipe = [sys.executable, *words], subprocess.PIPE
+    environment = os.environ | environment
+    process = subprocess.Popen(
+        words, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True
     )
-    return done.returncode, done.stdout, done.stderr
+    try:
+        while True:
+            # A worker is cancelled between two lines of Python, and never while it waits.
+            with suppress(subprocess.TimeoutExpired):
+                printed, errors = process.communicate(timeout=WORKER_NOTICES / 4)
+                return process.returncode, printed, errors
+    finally:
+        _interrupt([process])
+
+
+def _interrupt(processes: Sequence[subprocess.Popen[str]]) -> None:
+    """Interrupt those that run; return when all have ended.
+
+    They are asked by SIGTERM: what a worker of Ray starts ignores SIGINT.
+    """
+    for one in processes:
+        with suppress(OSError):
+            one.terminate()
+    for one in processes:
+        try:
+            one.wait(ENDING)
+        except subprocess.TimeoutExpired:
+            one.kill()

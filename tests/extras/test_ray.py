@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from motion_networks import noise_model, random_motion_network
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import cli, run_plugin
@@ -38,6 +40,17 @@ seed = 5
 
 [evolve]
 generations = 30
+population = 20
+runs = 1
+"""
+ENDLESS = """
+[sweep]
+seed = [0, 1]
+
+[evolve]
+simulator = "simulator"
+extrapolate = true
+generations = 100000
 population = 20
 runs = 1
 """
@@ -166,3 +179,33 @@ def test_a_sweep_runs_on_a_cluster(cluster, tmp_path):
         results.append([json.loads(path.read_text())["commands"] for path in made])
     assert results[0] == results[1]
     assert results[0][0] != results[0][1]
+
+
+def test_ctrl_c_ends_what_a_cluster_runs(simulator, tmp_path):
+    write_simulator(simulator, tmp_path / "simulator")
+    file = tmp_path / "sweep.toml"
+    file.write_text(ENDLESS)
+    words = ["pipeline", str(file), "--workers", "ray", "--at-once", "2"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "neurosim", *words], stderr=subprocess.PIPE, text=True
+    )
+    kept = [tmp_path / "sweep" / f"seed={seed}" / "evolve.checkpoint" for seed in (0, 1)]
+    wait_until(lambda: all((one / "checkpoint.json").exists() for one in kept), "both evolutions")
+    process.send_signal(signal.SIGINT)
+    _, messages = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, messages
+    assert "Traceback" not in messages
+    assert not running_in(tmp_path)
+    # Ended as by Ctrl-C: what each of them had found is written.
+    assert all((one.with_name("evolve") / "controller.json").exists() for one in kept)
+
+
+def running_in(folder):
+    """Return the command lines of processes that name a folder."""
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            lines.append(path.read_bytes().replace(b"\0", b" ").decode())
+        except OSError:  # it has ended
+            continue
+    return [line for line in lines if str(folder) in line]
