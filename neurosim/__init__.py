@@ -61,7 +61,7 @@ __getattr__ = names_of(__name__, _PUBLIC)
 
 keep_compiled_later(Path(__file__).parent, Path(__file__).parents[1] / "tracking")
 
-#: What can be registered by name, and where.
+#: The registry of each kind of object that has names.
 _REGISTRIES = {
     "robot": ("neurosim.robots.registry", "ROBOTS"),
     "simulator": ("neurosim.simulators.registry", "SIMULATORS"),
@@ -98,15 +98,15 @@ __all__ = [
 
 
 def register(what: str, name: str, item: Any = None) -> Any:
-    """Give something of yours a name; it then works wherever such a name is taken.
+    """Register an object of your own under a name; it then works wherever such a name is accepted.
 
     Args:
-        what: robot, simulator, controller, task, optimiser, trainer or reality.
-        name: what ``make_task``, ``--task`` and the like then take.
-        item: what the name stands for, such as a :class:`Task`'s class; without it, a decorator.
+        what: the kind of object: robot, simulator, controller, task, optimiser, trainer or reality.
+        name: the name for ``make_task``, ``--task`` and so on.
+        item: the object, such as a subclass of :class:`Task`; without it, a decorator is returned.
 
     Raises:
-        UserError: if the name is taken by one of ours, or there is no such kind of thing.
+        UserError: if neurosim itself uses the name, or there is no such kind of object.
 
     Example:
         >>> def away(seen):

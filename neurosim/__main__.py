@@ -9,7 +9,7 @@ from neurosim.base.interrupts import asked_to_end, own_process
 
 
 def main() -> None:
-    """Run the command line in a process of its own, which ends when it is asked to."""
+    """Run the command line as the process's main program, which signals can end."""
     own_process()
     from neurosim.cli.main import main as command  # takes most of a second
 
@@ -18,7 +18,7 @@ def main() -> None:
     except SystemExit as stop:
         if not asked_to_end():
             raise
-        # Threads that are still busy must not keep the process from its end.
+        # Threads that are still busy must not keep the process from ending.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(stop.code if isinstance(stop.code, int) else 1)

@@ -1,8 +1,8 @@
-"""L3: the simulator's parameters are searched until it gives what reality gave.
+"""L3: a search for parameters with which the simulator gives the results of reality.
 
 Zagal et al. 2004, section 5.3: ten individuals with similar fitness in reality and in the
-simulator are compared; what is minimised is the norm of the ten differences. Where reality tracked
-some it is their poses that are compared, which say more than one number a trial.
+simulator are compared; the search minimises the norm of the ten differences. Where reality tracked
+some, their poses are compared instead, which say more than one number a trial.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import se2
 from neurosim.evolution.climb import Climb
 
-#: Parameter sets that are kept differ by this at least: root mean square of their fractions.
+#: Parameter sets that are kept differ at least by this root mean square of their fractions.
 APART = 0.05
-#: With cma the first population is spread so far, as a fraction of the ranges.
+#: Standard deviation of cma's first population, as a fraction of the ranges.
 SPREAD = 0.2
-#: Where poses are compared a difference of headings by a radian counts as so many metres.
+#: Where poses are compared, metres that count as much as a radian of heading.
 HEADING_LENGTH = 0.3
-#: So far from reality is a pose that a simulation lacks, because the robot fell or numbers blew
-#: up, m.
+#: Distance from reality of a missing simulated pose (the robot fell, or numbers blew up), m.
 NOWHERE = 10.0
 
 
@@ -36,7 +35,7 @@ def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> ND
 def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> float:
     """Return the root mean square distance (m) of poses [..., 3] where reality's are finite.
 
-    A pose of the simulator that is not counts as :data:`NOWHERE`.
+    A pose of the simulator that is not finite counts as :data:`NOWHERE`.
     """
     apart = simulated - real
     turn = HEADING_LENGTH * se2.wrapped(apart[..., 2])
@@ -62,7 +61,7 @@ class Compared:
     poses: NDArray[np.float64] | None = None
 
     def discrepancy(self, sets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much the simulator with sets [S, K] differs from reality, [S].
+        """Return the difference from reality of the simulator with sets [S, K], [S].
 
         It is in metres where poses are compared.
         """
@@ -75,10 +74,10 @@ class Compared:
 def similar(
     simulated: NDArray[np.float64], real: NDArray[np.float64], count: int
 ) -> NDArray[np.int64]:
-    """Return which ``count`` individuals did most alike in both, in their order.
+    """Return the sorted indices of the ``count`` individuals with the most similar results.
 
-    Alike is by the difference as a fraction of the larger fitness; who failed in reality, with a
-    fitness of 0 or less, comes last.
+    The ranking is by the difference as a fraction of the larger fitness. Individuals that failed in
+    reality, with a fitness of 0 or less, come last.
     """
     larger = np.maximum(np.maximum(np.abs(simulated), np.abs(real)), 1e-12)
     apart = np.abs(simulated - real) / larger + 2.0 * (real <= 0.0)
@@ -93,7 +92,7 @@ def kept_sets(
     Args:
         climb: the search.
         count: how many are wanted.
-        before: [B, K] the sets before it, which stay where nothing better was found.
+        before: [B, K] the earlier sets, which are kept if the search did not find better ones.
         fitness_before: [B] the negative of their discrepancy.
     """
     sets = np.concatenate([before, *climb.asked])
@@ -120,7 +119,7 @@ def agreement(
     Returns:
         ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their
         ``rms`` and ``median`` (absolute), and the ``rank`` correlation (Spearman; None where all
-        are alike); ``poses`` (m, root mean square) where they were tracked.
+        are equal); ``poses`` (m, root mean square) where they were tracked.
     """
     real = compared.fitness
     result: dict[str, Any] = {"individuals": len(real)}
@@ -139,7 +138,7 @@ def agreement(
 
 
 def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float | None:
-    """Return Spearman's correlation of values [P] and [P]; None where all of one are alike."""
+    """Return Spearman's correlation of values [P] and [P]; None where all of one are equal."""
     ranks = np.stack([_ranks(one), _ranks(other)])
     if np.ptp(ranks, axis=1).min() == 0.0:
         return None

@@ -1,8 +1,8 @@
 """Back to reality: controller and simulator are adapted to each other, in turn.
 
-Zagal, Ruiz-del-Solar and Vallejos 2004, section 4: L1 learns the controller in the simulator, L2
-in reality, L3 adapts the simulator until it gives what reality gave; and round again.
-Nothing here knows what the controller moves.
+Zagal, Ruiz-del-Solar and Vallejos 2004, section 4: L1 learns the controller in the simulator, L2 in
+reality, L3 adapts the simulator until it gives the results of reality; then this repeats. This
+module works with any robot and any controller.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Adaptation:
     Attributes:
         genes: [G] the best individual, as fractions of the controller's range of genes.
         fitness: its mean fitness in reality.
-        start: mean fitness in reality of what was started from.
+        start: mean fitness in reality of the first controller.
         sets: [S, K] the parameter sets that controllers were evolved over last, fractions of their
-            ranges: without L3 the simulator as it is and others drawn around it; after L3 those
-            that it found, the best first.
+            ranges: without L3 the simulator itself and random sets around it; after L3 the sets
+                that it found, the best first.
         evaluations: used in reality.
         trials: used in reality.
         record: every evaluation in reality, in their order.
@@ -63,7 +63,7 @@ class Adaptation:
 
 
 class Alternation:
-    """A run under way.
+    """A running alternation.
 
     Attributes:
         cycles: its course so far, for JSON.
@@ -88,9 +88,9 @@ class Alternation:
             simulated: the simulator, task and controller.
             journal: of the trials in reality.
             start: [G] the controller to start from, such as one that was tuned by hand; fractions.
-            settings: how.
+            settings: of the alternation.
             seed: random seed.
-            state: what ``save`` was given before an interruption.
+            state: the last state that ``save`` got before an interruption.
             save: keeps the state.
             progress: whether to show progress on stderr.
             scalars: for curves of the fitness in reality and of each search.
@@ -102,7 +102,7 @@ class Alternation:
         journal.expect(simulated.steps)
         self._simulated, self._journal, self._start = simulated, journal, start
         self._settings, self._seed = settings, seed
-        # Now, not when trials were made already.
+        # Checked now, before any trial is made.
         Climb(self._controllers(0, start), lambda genes: genes[:, 0])
         if settings.adapt != "none":
             Climb(self._parameters(0, simulated.as_is), lambda sets: sets[:, 0])
@@ -170,12 +170,12 @@ class Alternation:
         return fitness
 
     def _show(self, before: int) -> None:
-        """Add the evaluations after the first so many to their curve."""
+        """Add the newest evaluations, after the first ``before``, to their curve."""
         for number, one in enumerate(self._record.all[before:], start=before + 1):
             self._scalars.add("reality/fitness", one.fitness, number)
 
     def _confirm(self) -> None:
-        """Evaluate the best again, and who is the best then, until one has enough evaluations.
+        """Evaluate the best again, then the new best, until one has enough evaluations.
 
         The best of many single results is usually partly luck.
         """
@@ -239,7 +239,7 @@ class Alternation:
         return make_optimiser(name, space)
 
     def _climb(self, climb: Climb, name: str, total: int, label: str, each: int) -> None:
-        """Run a search, or the rest of it; an individual of it is ``each`` trials."""
+        """Run a search, or the rest of it; each of its individuals takes ``each`` trials."""
 
         def save(state: Mapping[str, Any]) -> None:
             self._state |= {f"{name}.{key}": value for key, value in state.items()}
@@ -266,14 +266,14 @@ class Alternation:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Try the best of generations spread over the search; return genes and fitness.
 
-        The paper's individuals are some of the best of the evolved populations; the last ones of
-        all exploit what is peculiar to the simulator.
+        The paper's individuals are some of the best of the evolved populations; the last ones
+        exploit the simulator's peculiarities.
         """
         count = min(self._settings.candidates, self._room() - self._settings.spared)
         known = self._record.known
         chosen: list[NDArray[np.float64]] = []
         places = np.linspace(climb.done - 1, 0, count).round().astype(int)
-        # Where they repeat each other: the others of the last generations.
+        # Instead of duplicates: other individuals of the last generations.
         others = [
             asked[np.argsort(-fitness)]
             for asked, fitness in zip(climb.asked, climb.fitness, strict=True)
@@ -300,9 +300,9 @@ class Alternation:
     # L3
 
     def _adapt(self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]) -> None:
-        """Search the parameters with which the simulator gives what reality gave.
+        """Search the parameters with which the simulator gives the results of reality.
 
-        Nothing is done where poses are to be compared, and reality tracked none.
+        It does nothing if poses are to be compared and reality tracked none.
         """
         settings, left_out = self._settings, None
         if settings.compare == "similar":

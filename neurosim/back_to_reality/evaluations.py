@@ -15,7 +15,7 @@ class Evaluation:
     Attributes:
         genes: [G] of it.
         fitness: mean over all its evaluations so far.
-        count: how many these were.
+        count: number of these evaluations.
     """
 
     genes: NDArray[np.float64]
@@ -55,15 +55,15 @@ class Evaluations:
         return list(known.values())
 
     def leader(self) -> Evaluation:
-        """Return the individual with the highest mean, however often it was tried."""
+        """Return the individual with the highest mean, after any number of trials."""
         return max(self.latest(), key=lambda one: one.fitness)
 
     def believed(self, confirm: int = 1, first: int | None = None) -> Evaluation:
         """Return the best individual that was tried often enough; if none was, the leader.
 
         Args:
-            confirm: so many evaluations are enough.
-            first: of the first so many evaluations.
+            confirm: number of evaluations that are enough.
+            first: number of first evaluations to look at.
         """
         known = self.latest(None if first is None else max(first, 1))
         enough = [one for one in known if one.count >= confirm]

@@ -1,4 +1,4 @@
-"""A whole run: from a simulator, a controller and a reality to a folder that a person can open."""
+"""A whole run of back to reality: from a simulator, a controller and a reality to a folder."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from neurosim.tasks.base import Task
 
 FORMAT, VERSION = "neurosim-back-to-reality", 1
 GENES_FORMAT, GENES_VERSION = "neurosim-parameters", 1
-#: Poses of the expected path that are written of a controller.
+#: Number of poses of the expected path that are written with a controller.
 _POSES = 200
 
 
@@ -42,7 +42,7 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
     Args:
         controller: the family.
         path: a controller's folder; or a JSON file with the controller's parameters by name, or
-            with ``genes``. None: what was tuned by hand, where the controller knows of one.
+            with ``genes``. None: the hand-tuned genes, if the controller has any.
 
     Raises:
         UserError: if there is nothing to start from, or it is of another kind or out of the
@@ -91,7 +91,7 @@ def _read_genes(controller: Controller, path: str | Path) -> NDArray[np.float64]
 
 
 def _genes_of_plan(controller: Plan, saved: SavedController, path: str | Path) -> NDArray:
-    """Return the genes [G] of a plan that was written down as its commands."""
+    """Return the genes [G] of a plan that was saved as its commands."""
     room = controller.slots - len(saved.commands)
     if room < 0:
         raise UserError(
@@ -131,12 +131,12 @@ def back_to_reality(
             the best is not a plan without any command) and, of a simulator that can be written,
             ``simulator``, and ``simulator-2`` ... for the other sets that L3 found.
         start: [G] the genes to start from; None: those tuned by hand.
-        settings: how; by default our own choices, ``settings_named("better")``.
+        settings: of the alternation; by default neurosim's own, ``settings_named("better")``.
         seed: random seed.
-        resume: go on with the interrupted run of ``out``.
+        resume: continue the interrupted run of ``out``.
         options: kept in the checkpoint, for resuming.
         ask: asks a person to do something, and returns when it is done.
-        patience: a trial in reality that takes longer is given up, s.
+        patience: longest time of a trial in reality, s.
         progress: whether to show progress on stderr.
         tensorboard: folder for curves of the fitness in reality and of each search (extra
             ``tensorboard``); None: there are none.
@@ -145,10 +145,10 @@ def back_to_reality(
         The content of ``back-to-reality.json``.
 
     Raises:
-        UserError: if they do not fit each other, something stands at ``out``, or what is to be
-            resumed is not there or was begun with other settings.
-        RobotError: if reality did not answer; go on with ``resume``.
-        KeyboardInterrupt: at Ctrl-C; go on with ``resume``.
+        UserError: if they do not fit each other, ``out`` exists already, or the run to be resumed
+            does not exist or was begun with other settings.
+        RobotError: if reality did not answer; continue with ``resume``.
+        KeyboardInterrupt: at Ctrl-C; continue with ``resume``.
     """
     settings = settings or settings_named("better")
     check_readable(controller)
@@ -255,7 +255,7 @@ def _times(result: Adaptation) -> float | None:
 def _simulators(result: Adaptation, simulated: Simulated, folder: Path) -> list[str]:
     """Write the adapted simulators, where they can be written; return their names.
 
-    Without L3 it is the one that was begun with; the other sets were only drawn around it.
+    Without L3 it is the given one; the other sets were only random ones around it.
     """
     names, adapted = [], any("L3" in cycle for cycle in result.cycles)
     for place, one in enumerate(result.sets if adapted else result.sets[:1]):
@@ -274,14 +274,14 @@ def _controller(
     content: Mapping[str, Any],
     simulators: list[str],
 ) -> SavedController:
-    """Return the best controller as it is saved, with what the adapted simulator expects of it."""
+    """Return the best controller as it is saved, with the adapted simulator's prediction."""
     genes = simulated.real_genes(result.genes)
     evaluator = Evaluator(simulated.adjusted(result.sets[0]), task, controller)
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
     fitness = float(judged.fitness[0].mean())
     poses, rest = path_of(trajectory, 0, evaluator)
-    # The best in reality may fall or blow up in the simulator: it stays where it was seen last.
+    # The best in reality may fall or blow up in the simulator: the last finite pose is repeated.
     expected = np.isfinite(poses).all(axis=1)
     if controller.kind == "plan":
         poses = poses[np.maximum.accumulate(np.where(expected, np.arange(len(poses)), 0))]

@@ -90,7 +90,7 @@ class BackToRealitySettings(Checked):
         return self.finalists if self.confirm > 1 else 0
 
 
-#: Our choices next to the paper's, by which it is compared with itself.
+#: neurosim's own choices, where they differ from the paper's.
 BETTER: dict[str, Any] = {
     "cycles": 7,
     "search": "cma",
@@ -116,7 +116,7 @@ def settings_named(name: str, **changes: Any) -> BackToRealitySettings:
     """Return settings by name, ``paper`` or ``better``, and some changed.
 
     Raises:
-        UserError: if there are none of this name, or a value is wrong.
+        UserError: if the name is unknown, or a value is wrong.
     """
     if name not in ("paper", "better"):
         raise UserError(f"settings are paper or better, not {name!r}")

@@ -1,4 +1,4 @@
-"""Controllers in a simulator whose parameters are adjusted; all else here asks this only."""
+"""Controllers in a simulator with adjustable parameters, as the searches L1 and L3 use them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from neurosim.tasks.base import Task
 class Simulated:
     """A simulator with parameters, a task and a controller: fractions in, fitness out.
 
-    Genes and parameters are handed to it as fractions 0..1 of their ranges.
+    Genes and parameters are given as fractions 0..1 of their ranges.
 
     Attributes:
         parameters: of the simulator.
-        genes: how many an individual has.
+        genes: number of genes of an individual.
         as_is: [K] fractions of the parameters before anything was adjusted.
-        steps: how many a trial has; there is a pose after each.
-        tried: how many trials were simulated.
+        steps: number of steps of a trial; there is a pose after each.
+        tried: number of simulated trials.
     """
 
     def __init__(self, simulator: Simulator, task: Task, controller: Controller):
@@ -45,7 +45,7 @@ class Simulated:
         self.genes = controller.genes
         self.as_is = np.array([one.fraction(one.value) for one in self.parameters])
         self.tried = 0
-        self.steps = self._evaluator(self.as_is).steps  # refuses what does not fit
+        self.steps = self._evaluator(self.as_is).steps  # raises an error if they do not fit
 
     def real_genes(self, fractions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the genes [..., G] of fractions [..., G] of the controller's range of genes."""
@@ -83,8 +83,8 @@ class Simulated:
     ) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals [P, G] with one set of parameters [K].
 
-        It is the expected motion, without noise. A simulation that blows up is worth 0, or
-        as little as the worst of the others.
+        The motion is the expected one, without noise. A simulation that blows up gets the fitness
+        0, or the worst of the others if that is lower.
         """
         evaluator = self._evaluator(parameters)
         self.tried += len(genes)
@@ -99,7 +99,7 @@ class Simulated:
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return where individuals [P, G] are expected after each step, [P, K, 3].
+        """Return the expected poses of individuals [P, G] after each step, [P, K, 3].
 
         From the task's first start, with one set of parameters [K], without noise.
         """

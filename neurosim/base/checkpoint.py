@@ -1,4 +1,4 @@
-"""Checkpoints: what an interrupted search goes on from."""
+"""Checkpoints, from which an interrupted search can be resumed."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _DIGEST = "digest"
 
 
 class Checkpoint:
-    """A folder next to the output, ``OUT.checkpoint``, that is there while something long runs.
+    """A folder next to the output, ``OUT.checkpoint``, that exists while a long computation runs.
 
     ``checkpoint.json`` holds the settings and is written once, before the first generation;
-    ``state.safetensors`` holds all the rest and is replaced whole, so that a kill at any moment
-    leaves one that can be gone on from. A digest of them stands among the arrays: what loads them
-    meets nothing but what was saved.
+    ``state.safetensors`` holds the rest and is replaced whole, so that a kill at any moment leaves
+    a usable one. A digest of the arrays is stored among them: damaged or foreign arrays are an
+    error.
 
     Args:
-        out: the output's place.
-        what: runs, for messages: ``training`` or ``evolution``.
+        out: path of the output.
+        what: the computation, for messages: ``training`` or ``evolution``.
     """
 
     def __init__(self, out: str | Path, what: str):
@@ -43,7 +43,7 @@ class Checkpoint:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Keep the folder for this process alone while the block runs; see :func:`files.locked`.
+        """Lock the folder for this process while the block runs; see :func:`files.locked`.
 
         Raises:
             UserError: if another process has it.
@@ -54,13 +54,13 @@ class Checkpoint:
                 yield
         finally:
             with suppress(OSError):
-                self.folder.rmdir()  # nothing came of it
+                self.folder.rmdir()  # nothing was saved
 
     def begin(self, settings: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> None:
         """Start again.
 
         Args:
-            settings: what must be the same when it is resumed.
+            settings: values that must be equal when it is resumed.
             options: kept for resuming, and returned by :meth:`options`.
 
         Raises:
@@ -78,7 +78,7 @@ class Checkpoint:
 
     @property
     def begun(self) -> bool:
-        """Whether there is something to resume."""
+        """Whether there is a run to resume."""
         return self._settings.exists()
 
     @property
@@ -87,7 +87,7 @@ class Checkpoint:
         return self._state.exists()
 
     def options(self) -> dict[str, Any]:
-        """Return the options that it was begun with; none where there is no checkpoint.
+        """Return the options of the first start; empty if there is no checkpoint.
 
         Raises:
             FileError: if the checkpoint is damaged.
@@ -131,13 +131,13 @@ class Checkpoint:
         files.write_tensors(self._state, {**arrays, _DIGEST: _digest(arrays)})
 
     def damaged(self) -> FileError:
-        """Return the error to raise where the saved state does not fit its settings."""
+        """Return the error for a saved state that does not fit its settings."""
         return FileError(
             self._state, f"is not the state of this {self._what}; remove its folder and start again"
         )
 
     def remove(self) -> None:
-        """Remove the folder: all is done."""
+        """Remove the folder, at the end of the computation."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

@@ -1,4 +1,4 @@
-"""Closed lines in the plane: where a point stands along one, and how far from it."""
+"""Closed lines in the plane: the distance of points from a line, and their position along it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from neurosim.base.threads import WORTH_SHARING, on_cores
 
 SHAPES = ("rectangle", "ellipse")
 
-#: Arcs are made of pieces of at most so much, m: on a radius of 0.2 m 0.25 mm off at most.
+#: Longest straight piece of an arc, m: at a radius of 0.2 m the error is at most 0.25 mm.
 _PIECE = 0.02
 
 
@@ -22,7 +22,7 @@ class ClosedLine:
     """A closed line: a polygon whose last point is joined to its first.
 
     Attributes:
-        points: [N, 2] m, in the board's frame, in the order in which it is gone along.
+        points: [N, 2] m, in the board's frame, in driving order.
         length: all the way round, m.
     """
 
@@ -30,7 +30,7 @@ class ClosedLine:
         """Make one of points.
 
         Raises:
-            UserError: if they are no closed line: fewer than 3, not finite, or on one spot.
+            UserError: if there are fewer than 3, they are not finite, or all are equal.
         """
         corners = np.ascontiguousarray(points, np.float64)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
@@ -59,7 +59,7 @@ class ClosedLine:
             corner: radius of a rectangle's corners, m.
 
         Raises:
-            UserError: if there is no such line.
+            UserError: if a size is impossible.
         """
         if shape not in SHAPES:
             raise UserError(f"a closed line is one of {', '.join(SHAPES)}, not {shape!r}")
@@ -86,7 +86,7 @@ class ClosedLine:
         return cls(np.concatenate(parts))
 
     def nearest(self, places: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return how far places [..., 2] are from the line, and where along it, m, [...] each."""
+        """Return distances [...] of points [..., 2] from the line, and positions along it, m."""
         given = np.asarray(places, np.float64)
         flat = np.ascontiguousarray(given.reshape(-1, 2))
         distance, along = np.empty(len(flat)), np.empty(len(flat))
@@ -103,7 +103,7 @@ class ClosedLine:
         """Return poses [..., 3] on the line, facing along it, or against it.
 
         Args:
-            along: [...] where, m.
+            along: [...] position along the line, m.
             backwards: [...] whether against its points' order.
         """
         distance = np.remainder(np.asarray(along, np.float64), self.length)
@@ -117,14 +117,14 @@ class ClosedLine:
 
 @njit(cache=True, error_model="numpy")
 def distance_to(points: NDArray[np.float64], x: float, y: float) -> float:
-    """Return how far a place (m) is from the closed line of points [N, 2]."""
+    """Return the distance of a point (m) from the closed line of points [N, 2]."""
     distance, _, _ = _nearest_side(points, x, y)
     return distance
 
 
 @njit(cache=True, error_model="numpy")
 def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[float, int, float]:
-    """Return the distance of a place (m), the side that is nearest, and where along it, 0..1."""
+    """Return a point's distance (m), the nearest side, and the position along it, 0..1."""
     least, side, where = np.inf, 0, 0.0
     for i in range(len(points)):
         j = i + 1 if i + 1 < len(points) else 0
@@ -147,7 +147,7 @@ def _nearest(
     distance: NDArray[np.float64],
     along: NDArray[np.float64],
 ) -> None:
-    """Write the distances [B] of places [B, 2], and how far along the line they are, [B]."""
+    """Write the distances [B] of points [B, 2], and their positions along the line, [B]."""
     for b in range(len(places)):
         distance[b], side, part = _nearest_side(points, places[b, 0], places[b, 1])
         along[b] = until[side] + part * sides[side]

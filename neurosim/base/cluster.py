@@ -1,4 +1,4 @@
-"""A Ray cluster, where there is one: it shares out work to many computers."""
+"""A Ray cluster, which distributes work to many computers."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any, Literal
 
 from neurosim.base.errors import UserError
 
-#: Where work is done: in this process or on this computer; or on a Ray cluster.
+#: Places to work: this process or this computer, or a Ray cluster.
 Name = Literal["local", "ray"]
 
 
 def ray_cluster() -> Any:
-    """Return Ray, connected to a cluster, or to one that is started on this computer.
+    """Return Ray, connected to an existing cluster or to a new one on this computer.
 
     Raises:
         UserError: if Ray is not installed or its cluster cannot be reached.

@@ -1,7 +1,7 @@
-"""The numbers of a robot's command: names, units, limits, and how it would move by them.
+"""The numbers of a robot's command: names, units, limits, and the motion that they describe.
 
-A robot says what it takes. All code above the driver uses this: recordings name their columns
-by it, guards and clocks ask how the robot moves by a command if it does what it is commanded.
+A robot's driver describes its commands. All code above the driver uses this: recordings name their
+columns by it; guards and clocks compute the ideal motion of a command.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from neurosim.base import se2
 from neurosim.base.errors import UserError
 
-#: Kinds of bodies, and the measures that each needs, m and m/s.
+#: Kinds of bodies, and the measures (m and m/s) that each needs.
 BODIES: dict[str, tuple[str, ...]] = {
     "wheels": ("full", "track"),  # left, right: two wheels; speed of a wheel at its limit
     "car": ("wheelbase",),  # a speed of the axle (m/s), and a steering angle (rad)
@@ -25,7 +25,7 @@ BODIES: dict[str, tuple[str, ...]] = {
 }
 #: Names of a twist's parts: forward, to the left, turn to the left.
 _TWIST = {"v": 0, "vx": 0, "vy": 1, "w": 2, "omega": 2}
-#: Names that columns of a recording have already.
+#: Names of a recording's other columns.
 RESERVED = ("session", "command", "kind", "time", "duration", "numbers", "is_motor", "forward",
             "turn", "index", "count")  # fmt: skip
 
@@ -39,8 +39,7 @@ class Number:
         unit: %, m/s, rad/s or rad.
         low: least value.
         high: greatest value.
-        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is not a
-        speed.
+        speed: whether 0 means rest; a held angle, such as a car's steering, is not a speed.
     """
 
     name: str
@@ -56,8 +55,8 @@ class Commands:
 
     Attributes:
         numbers: of a command, in order.
-        body: a key of :data:`BODIES`, or empty where nobody says how the robot moves.
-        measures: of the body; ``radius`` of the circle around it is one, too.
+        body: a key of :data:`BODIES`, or empty if the robot's motion is unknown.
+        measures: of the body, also the ``radius`` of the circle around it.
     """
 
     numbers: tuple[Number, ...]
@@ -91,7 +90,7 @@ class Commands:
 
     @property
     def moves_as_known(self) -> bool:
-        """Whether :meth:`twist` can say how the robot moves."""
+        """Whether :meth:`twist` can compute the robot's motion."""
         needed = BODIES.get(self.body)
         return needed is not None and all(self.measures.get(name, 0) > 0 for name in needed)
 
@@ -102,7 +101,7 @@ class Commands:
 
     @property
     def arm(self) -> float:
-        """Length at which a turn counts as a way, m: half the track, or the body's radius."""
+        """Length that converts a turn into a distance, m: half the track, or the body's radius."""
         if self.body == "wheels":
             return self.measures["track"] / 2
         return self.measures.get("radius", self.measures.get("wheelbase", 0.2) / 2)
@@ -113,25 +112,25 @@ class Commands:
         return float(self.twist([one.high if one.speed else 0.0 for one in self.numbers])[0])
 
     def measured(self, **measures: float) -> Commands:
-        """Return the same with measures that the robot does not give itself."""
+        """Return a copy with measures that the robot itself does not give."""
         return replace(self, measures={**measures, **self.measures})
 
     def rest(self, last: Sequence[float] | None = None) -> tuple[float, ...]:
-        """Return the command of a robot that stands; angles stay where the last one has them."""
+        """Return the command for rest; angles stay as in the last command."""
         held = [0.0] * len(self.numbers) if last is None else last
         return tuple(
             0 if one.speed else float(value) for one, value in zip(self.numbers, held, strict=True)
         )
 
     def stands(self, command: Sequence[float]) -> bool:
-        """Return whether a robot with this command does not drive."""
+        """Return whether a robot stands at this command."""
         return not any(value for one, value in zip(self.numbers, command, strict=True) if one.speed)
 
     def check(self, command: Sequence[float]) -> tuple[float, ...]:
         """Return a command's numbers.
 
         Raises:
-            UserError: naming the one that is beyond its limits, or if there are others.
+            UserError: if one is beyond its limits, or the number of numbers is wrong.
         """
         if len(command) != len(self.numbers):
             raise UserError(
@@ -147,7 +146,7 @@ class Commands:
         return tuple(float(value) for value in command)
 
     def within(self, command: Sequence[float]) -> tuple[float, ...]:
-        """Return a command with its numbers cut off at their limits, and rounded as they are sent.
+        """Return a command limited to its ranges, and rounded as it is sent.
 
         Percents are whole ones, other numbers have four decimals.
         """
@@ -156,7 +155,7 @@ class Commands:
         return tuple(round(value) if one.unit == "%" else round(value, 4) for one, value in cut)
 
     def twist(self, command: ArrayLike) -> NDArray[np.float64]:
-        """Return how a robot moves that does what it is commanded.
+        """Return the twist of a robot that follows its command ideally.
 
         Args:
             command: [..., C].
@@ -201,7 +200,7 @@ class Commands:
         return 100.0 * twist[..., [0, 2]] / np.maximum(most[[0, 2]], 1e-9)
 
     def toward(self, forward: float, turn: float) -> tuple[float, ...]:
-        """Return the command that moves most like this, cut off at the limits.
+        """Return the command with the most similar motion, within the limits.
 
         Args:
             forward: m/s.
@@ -221,7 +220,7 @@ class Commands:
         return self.within(wanted)
 
     def straight(self, command: Sequence[float]) -> tuple[float, ...]:
-        """Return a command like this one that does not turn: of two wheels, both as the left."""
+        """Return this command without a turn: for two wheels, both like the left one."""
         if self.body == "wheels" or self.names == ("left", "right"):
             return (command[0], command[0])
         turns = {"car": 1, "twist": self._place(2)}.get(self.body)
@@ -240,7 +239,7 @@ class Commands:
         """Return the commands that :meth:`describe` described; by default those of two wheels.
 
         Raises:
-            ValueError, TypeError, KeyError: if it describes no commands.
+            ValueError, TypeError, KeyError: if it is not a description of commands.
         """
         if content is None:
             return TWO_WHEELS.measured(full=0.5, track=0.13)
@@ -248,7 +247,7 @@ class Commands:
         return cls(numbers, content["body"], dict(content["measures"]))
 
     def _place(self, part: int) -> int | None:
-        """Return which number is a part of the twist, if one is."""
+        """Return the index of the number that is a part of the twist, or None."""
         places = [place for place, name in enumerate(self.names) if _TWIST.get(name) == part]
         return places[0] if self.body == "twist" and places else None
 

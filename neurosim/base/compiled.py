@@ -1,4 +1,4 @@
-"""Where compiled functions are kept between two runs."""
+"""Where compiled functions are stored between two runs."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-#: Folders of machine code are named after it and what they were compiled from.
+#: Beginning of the names of machine code folders; a digest of the sources follows.
 _PREFIX = "neurosim-compiled-"
 
 
-#: Folders of sources, until :func:`keep_compiled` has named where their machine code is kept.
+#: Folders of sources for which :func:`keep_compiled` has not been called yet.
 _later: list[Path] = []
 
 
 class _BeforeNumba:
-    """Has the folder named when Numba is imported: that takes a moment, and not all need it."""
+    """Calls :func:`keep_compiled` when Numba is imported, because it takes a moment."""
 
     @staticmethod
     def find_spec(name: str, path: Any = None, target: Any = None) -> None:
-        """Find no module, and see that Numba is asked for."""
+        """Find no module; notice the import of Numba."""
         if name == "numba":
             _named_now()
 
 
 def keep_compiled_later(*packages: Path) -> None:
-    """Have :func:`keep_compiled` called before Numba is imported, or now if it is already."""
+    """Call :func:`keep_compiled` before Numba is imported, or now if it is imported already."""
     _later.extend(packages)
     sys.meta_path.insert(0, _BeforeNumba)
     if "numba" in sys.modules:
@@ -45,20 +45,20 @@ def _named_now() -> None:
 
 
 def keep_compiled(*packages: Path) -> None:
-    """Name a folder for what Numba compiles from the sources as they are.
+    """Set the folder for Numba's machine code, which depends on the content of the sources.
 
-    Numba looks at the file of the outermost function alone: after an edit of one that it calls, it
-    would go on with the machine code of before. So the folder is another one wherever a source
-    next to compiled functions differs. It is in ``NUMBA_CACHE_DIR``, next to the source, or in the
-    user's cache. Where none can be written to, as in an installation that is read-only for a user
-    without a home, it is one of this process's own, removed at its end.
+    Numba checks only the file of the outermost function: after an edit of a function that this one
+        calls, it would use old machine code. So every content of the sources has its own folder. It
+        is in ``NUMBA_CACHE_DIR``, next to the source, or in the user's cache. If none can be
+        written to, such as in a read-only installation for a user without a home, the process makes
+        a temporary folder and removes it at its end.
 
     Args:
-        packages: folders of the sources; it may be kept next to the first.
+        packages: folders of the sources; machine code may be stored next to the first.
     """
     name = _PREFIX + _digest(packages)
     asked = os.environ.get("NUMBA_CACHE_DIR")
-    if asked and Path(asked).name == name:  # of the process that started this one
+    if asked and Path(asked).name == name:  # set by the process that started this one
         return
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     for place in [Path(asked)] if asked else [packages[0] / "__pycache__", Path(cache)]:
@@ -69,14 +69,14 @@ def keep_compiled(*packages: Path) -> None:
                 return
         except OSError:
             pass
-    # Nobody else may write there: what is kept in it runs when it is loaded.
+    # Nobody else may write there: code in it runs when it is loaded.
     folder = tempfile.mkdtemp(prefix=_PREFIX)
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = folder
 
 
 def compiled_ahead() -> Path:
-    """Return the file next to the machine code that marks all of a demo as compiled."""
+    """Return the file next to the machine code that marks a demo's functions as compiled."""
     _named_now()
     return Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled-ahead"
 
@@ -84,7 +84,7 @@ def compiled_ahead() -> Path:
 def _digest(packages: tuple[Path, ...]) -> str:
     """Return a digest of all sources in folders that have compiled functions.
 
-    Their neighbours count, too: compiled functions take in constants of theirs.
+    Files next to them count, too: compiled functions contain their constants.
     """
     sources = {p: p.read_bytes() for package in packages for p in package.rglob("*.py")}
     folders = {path.parent for path, source in sources.items() if b"import numba" in source}

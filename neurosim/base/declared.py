@@ -7,8 +7,8 @@ A range is written once, in the annotation, and holds for Python, files and the 
         steps: Count = 500
         speed: Annotated[float, Meta(gt=0, le=2)] = 0.5
 
-Every number that a person can give has a range, both ends of it: what is computed from it then
-stays finite and ends.
+Every number that a user can give has a lower and an upper limit, so that results stay finite and
+computations end.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 #: A seed of random numbers, as every library takes it.
 Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-#: How many; one at least.
+#: A number of items, at least 1.
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
-#: How many; there may be none.
+#: A number of items, at least 0.
 CountOrNone = Annotated[int, Meta(ge=0, le=1_000_000)]
 #: A fraction, or a probability.
 Fraction = Annotated[float, Meta(ge=0, le=1)]
@@ -47,7 +47,7 @@ Percent = Annotated[float, Meta(ge=0.1, le=100)]
 Seconds = Annotated[float, Meta(ge=0.001, le=100_000)]
 #: A duration that may be 0, s.
 SecondsOrNone = Annotated[float, Meta(ge=0, le=100_000)]
-#: By how much something is late, s; below 0 it is early.
+#: A delay, s; below 0 it is early.
 Delay = Annotated[float, Meta(ge=-60, le=60)]
 #: A length, m.
 Metres = Annotated[float, Meta(ge=0.0001, le=1000)]
@@ -61,11 +61,11 @@ Angle = Annotated[float, Meta(ge=-1000, le=1000)]
 Turn = Annotated[float, Meta(ge=0, le=2 * math.pi)]
 #: A pose: x, y and heading.
 Pose = tuple[Coordinate, Coordinate, Angle]
-#: Standard deviations of the place and of the heading at which a robot is put.
+#: Standard deviations of position and heading when a robot is placed.
 Placing = tuple[MetresOrNone, Turn]
 #: Wheel speed at 100 %, m/s.
 FullSpeed = Annotated[float, Meta(ge=0.001, le=20)]
-#: Time between two commands of a controller that sees, s.
+#: Time between two commands of a closed-loop controller, s.
 Step = Annotated[float, Meta(ge=0.001, le=10)]
 #: Frames per second.
 Fps = Annotated[float, Meta(ge=1, le=240)]
@@ -75,7 +75,7 @@ Baud = Annotated[int, Meta(ge=300, le=4_000_000)]
 Port = Annotated[int, Meta(ge=1, le=65535)]
 #: The number of a printed tag.
 TagId = Annotated[int, Meta(ge=0, le=100_000)]
-#: Any number that can be computed with.
+#: Any finite number of moderate size.
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
@@ -83,8 +83,8 @@ class Mismatch(Exception):
     """A value is not as declared.
 
     Attributes:
-        field: where, such as ``actual.poses[3]``; empty for the value itself.
-        what: what was expected, and what is there.
+        field: the field, such as ``actual.poses[3]``; empty for the value itself.
+        what: the expected and the actual value, in words.
     """
 
     def __init__(self, field: str, what: str):
@@ -101,7 +101,7 @@ class SettingError(UserError):
 
 
 def convert(value: Any, kind: Any) -> Any:
-    """Return plain values (of JSON, or of the caller) as a declared type, dataclasses made.
+    """Convert plain values (from JSON or a caller) to a declared type, such as a dataclass.
 
     Raises:
         Mismatch: naming the first field that is not as declared.
@@ -116,8 +116,8 @@ def convert(value: Any, kind: Any) -> Any:
 class Checked:
     """Base of settings: a frozen dataclass whose fields are checked as it is made.
 
-    A subclass that compares its fields with each other does so in its own ``__post_init__``, after
-    calling this one.
+    A subclass compares its fields with each other in its own ``__post_init__``, after calling this
+    one.
     """
 
     def __post_init__(self) -> None:
@@ -159,8 +159,8 @@ def plain(value: Any) -> Any:
 def hints_of(source: Any) -> dict[str, Any]:
     """Return the annotations of a class or function, with ranges.
 
-    Each is evaluated where it was written; a name that only type checkers import is ``object``. Of
-    a class that is no dataclass they are those of its ``__init__``.
+    Each is evaluated in its own module; a name that only type checkers import is ``object``. A
+    class that is not a dataclass has the annotations of its ``__init__``.
     """
     hints: dict[str, Any] = {}
     for owner in reversed(source.__mro__[:-1]) if isinstance(source, type) else [source]:
@@ -210,7 +210,7 @@ def _check(values: dict[str, Any], hints: dict[str, Any]) -> None:
 
 @functools.cache
 def _plain_hints(source: Any) -> dict[str, Any]:
-    """Return the annotations that are or have numbers or chosen words, and nothing but these."""
+    """Return the annotations that consist of numbers or literal words only."""
     hints = hints_of(source).items()
     return {name: hint for name, hint in hints if _is_plain(hint) and not _is_text(hint)}
 
@@ -276,7 +276,7 @@ _WORDS = {
 
 
 def _mismatch(value: Any, kind: Any, message: str, path: str) -> Mismatch:
-    """Return an error of msgspec in plain words, with the place and the value there."""
+    """Return an error of msgspec in plain words, with the field and its value."""
     field = ""
     for name, index in re.findall(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]", path):
         kind, key = _within(value, kind, name or index)
@@ -287,11 +287,11 @@ def _mismatch(value: Any, kind: Any, message: str, path: str) -> Mismatch:
     if named:
         what = "is missing" if "missing" in message else "is not a field here"
         return Mismatch(f"{field}.{named[1]}".lstrip("."), what)
-    if not re.match("Expected|Invalid", message):  # what a dataclass itself says of its fields
+    if not re.match("Expected|Invalid", message):  # the message of a dataclass about its fields
         return Mismatch(field, message)
     bare, _ = bounded(kind)
     if typing.get_origin(bare) is list and not isinstance(value, list | tuple):
-        kind = bare  # how long a list may be says nothing of what is none
+        kind = bare  # the length of a list does not matter if the value is not a list
     return Mismatch(field, f"expected {in_words(kind)}, found {value!r:.60}")
 
 

@@ -2,10 +2,9 @@
 
 The name of an element, or of the nearest named group around it, gives its meaning: its ``id``, its
 ``class`` or the label of its layer (``inkscape:label``). Names are those of the parts of a place,
-in the singular or the plural, with a number behind it where there are several: ``outline``,
-``walls``, ``obstacles``, ``lines``, ``lights``, ``board``, ``perimeter``, ``start``. An element
-named ``scale-50cm`` is 50 cm long; without one, the drawing is as large as its page says.
-Everything else is passed over.
+in the singular or the plural; a number may follow: ``outline``, ``walls``, ``obstacles``,
+``lines``, ``lights``, ``board``, ``perimeter``, ``start``. An element named ``scale-50cm`` is 50 cm
+long; without one, the page's size gives the scale. All other elements are ignored.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from neurosim.base.files import read_text
 from neurosim.base.perimeter import Board
 from neurosim.base.place import Line, Place
 
-#: Drawings are no larger, bytes.
+#: Largest size of a drawing, bytes.
 MOST = 16 * 2**20
-#: A curve is drawn by so many straight pieces.
+#: Number of straight pieces of a curve.
 PIECES = 16
-#: Points nearer than this are one, m; sides of a rectangle are as straight.
+#: Points nearer than this count as one, m; also the tolerance of a rectangle's sides.
 NEAR = 1e-3
-#: A closed curve is a circle if its points are so far from the middle, relative to the mean.
+#: A closed curve is a circle if its radii differ from their mean by less than this fraction.
 ROUND = 0.02
 
 _PART = re.compile(
@@ -48,10 +47,10 @@ _METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 _LENGTH = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(px|mm|cm|in|pt|pc)?\s*$", re.I
 )
-#: Units of lengths inside a drawing, in its own.
+#: Units of length of SVG, in user units.
 _UNITS = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "pt": 4 / 3, "pc": 16.0}
 _FUNCTION = re.compile(r"(\w+)\s*\(([^()]*)\)")
-#: Elements whose contents are not drawn where they stand.
+#: Elements whose contents are not drawn at their position.
 _HIDDEN = {"defs", "symbol", "clippath", "mask", "marker", "pattern", "metadata"}
 
 
@@ -60,12 +59,12 @@ class _Stroke:
     """A piece of a drawing.
 
     Attributes:
-        part: which part of a place it is, or ``scale``.
+        part: name of the part of a place, or ``scale``.
         name: of the element, for messages.
         points: [N, 2] in the drawing's units.
         closed: whether the last is joined to the first.
-        width: of its stroke, in the drawing's units; None: nothing says it.
-        metres: of a ``scale``, how long it is.
+        width: of its stroke, in the drawing's units; None: unknown.
+        metres: length of a ``scale``.
     """
 
     part: str
@@ -89,8 +88,8 @@ def read_drawing(path: str | Path) -> tuple[Place, list[str]]:
     width has the usual one.
 
     Raises:
-        FileError: if the file is no drawing, has no parts of a place, says nothing of its size, or
-            a part is wrong.
+        FileError: if the file is not a drawing, has no parts of a place, has no size, or a part is
+            wrong.
     """
     text = read_text(path, "a drawing in SVG, in UTF-8", most=MOST)
     if "<!ENTITY" in text.upper():
@@ -114,7 +113,7 @@ def read_drawing(path: str | Path) -> tuple[Place, list[str]]:
 
 
 def _strokes(element: Any, outer: Transform, part: str, width: float | None) -> Iterator[_Stroke]:
-    """Give the named pieces of an element and all in it."""
+    """Give the named pieces of an element and of all elements inside."""
     tag = _tag(element)
     style = dict(
         entry.split(":", 1) for entry in element.get("style", "").split(";") if ":" in entry
@@ -144,7 +143,7 @@ def _strokes(element: Any, outer: Transform, part: str, width: float | None) -> 
 
 
 def _part_of(name: str) -> str | None:
-    """Return which part of a place a name is of; of a scale, the name."""
+    """Return the part of a place that a name denotes; for a scale, the name."""
     if _SCALE.fullmatch(name):
         return name
     if name.lower().startswith("scale-"):
@@ -154,7 +153,7 @@ def _part_of(name: str) -> str | None:
 
 
 def _path_data(element: Any, tag: str, name: str) -> str:
-    """Return an element as a path's data; nothing if it is not drawn with a line."""
+    """Return an element as path data; empty if it has no line."""
 
     def at(key: str, usual: str = "0") -> float:
         return _length(element.get(key, usual), f"{key} of {name}")
@@ -221,7 +220,7 @@ def _flattened(
 
 
 def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
-    """Return the strokes but the scale in metres, y up, with neighbours that differ."""
+    """Return the strokes in metres, y up, without the scale and without repeated points."""
     scales = [stroke for stroke in strokes if stroke.part == "scale"]
     strokes = [stroke for stroke in strokes if stroke.part != "scale"]
     if not strokes:
@@ -257,7 +256,7 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
 
 
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points [N, 2] without those that are no farther than NEAR from the last one kept."""
+    """Return points [N, 2] without those within NEAR of the last one kept."""
     kept = [points[0]]
     for point in points[1:]:
         if np.linalg.norm(point - kept[-1]) > NEAR:
@@ -266,7 +265,7 @@ def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _page_scale(root: Any) -> float | None:
-    """Return metres per unit of a drawing whose page says how wide it is; None: it does not."""
+    """Return metres per unit by the width of the drawing's page; None: it has no width."""
     match = _PAGE.fullmatch(root.get("width", ""))
     if match is None:
         return None
@@ -281,7 +280,7 @@ def _page_scale(root: Any) -> float | None:
     if len(box) != 4 or min(box[2:]) <= 0:
         raise UserError(f"viewBox is not four numbers: {root.get('viewBox')!r:.40}")
     scale = float(match[1]) * _METRES[match[2]] / box[2]
-    # The drawing is shown as large as fits into both.
+    # The drawing has the largest scale that fits both directions.
     if match := _PAGE.fullmatch(root.get("height", "")):
         scale = min(scale, float(match[1]) * _METRES[match[2]] / box[3])
     return scale
@@ -326,7 +325,7 @@ def _place(strokes: list[_Stroke]) -> Place:
 
 
 def _added(strokes: list[_Stroke]) -> Iterator[str]:
-    """Give a sentence on each stroke in metres to which something is added."""
+    """Give a sentence about each stroke (in metres) that is completed."""
     usual = {"line": Line.width, "perimeter": Board.line_width}
     for one in strokes:
         if one.part in usual and one.width is None:
@@ -364,7 +363,7 @@ def _rectangle(stroke: _Stroke) -> tuple[float, float]:
 
 
 def _radius(stroke: _Stroke) -> float | None:
-    """Return the radius of a circle, m; None: it is another shape."""
+    """Return the radius of a circle, m; None for other shapes."""
     away = np.linalg.norm(stroke.points - stroke.middle, axis=1)
     mean = float(away.mean())
     if len(away) < 8 or np.abs(away - mean).max() > ROUND * mean:

@@ -1,4 +1,4 @@
-"""Errors that a user can cause, each one clear sentence for stderr; and words of sentences."""
+"""Errors that a user can cause, each one clear sentence for stderr; and words for messages."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def counted(count: int, noun: str) -> str:
 
 
 class UserError(Exception):
-    """Something a user can put right: what is wrong, where, and what to do, in one sentence.
+    """An error that a user can correct: one sentence says what is wrong, where, and what to do.
 
-    The command line prints the message alone and exits with 1; library callers catch it as
+    The command line prints the message alone and exits with 1; callers of the library catch it like
     any exception.
 
     Example:
@@ -27,15 +27,15 @@ class UserError(Exception):
 
 
 def unwritten(owner: object, method: str) -> UserError:
-    """Return the error of a class of a user's own that lacks a method."""
+    """Return the error for a user's own class that lacks a method."""
     return UserError(f"{type(owner).__name__} has no method {method}(): write one")
 
 
 def check_names(owner: str, names: Iterable[str], known: Sequence[str]) -> None:
-    """Refuse settings of unknown names.
+    """Raise an error for settings with unknown names.
 
     Raises:
-        UserError: naming the first one, and the known ones.
+        UserError: with the first unknown name, and the known ones.
     """
     for name in names:
         if name not in known:
@@ -65,7 +65,7 @@ class FileError(UserError):
 
 
 class RobotError(UserError):
-    """No robot found, the wrong thing on the line, or a robot that stopped answering."""
+    """No robot was found, another device answered, or the robot stopped answering."""
 
 
 class LinkLost(RobotError):

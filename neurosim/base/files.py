@@ -1,7 +1,7 @@
-"""Files that are either whole or absent, and readers that say what is wrong and where.
+"""Files that are either whole or absent, and readers whose errors say what is wrong and where.
 
-JSON, CSV and safetensors only: nothing that can run code when it is loaded. Every JSON file
-carries ``format`` and ``version``. A file is written next to its place and then renamed, so
+Only JSON, CSV and safetensors, which cannot run code when they are loaded. Every JSON file
+carries ``format`` and ``version``. A file is written under a temporary name and then renamed, so
 that a crash leaves the old file or none.
 """
 
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 Made = TypeVar("Made")
 
-#: No number in a CSV file is larger: what is computed of measured values stays finite.
+#: Largest number in a CSV file, so that results of measured values stay finite.
 LARGEST = 1e150
 
 #: Characters of the target's name that are kept in the name of a temporary file.
 _OF_NAME = 32
-#: A temporary file of this age, s, was left by a program that was killed.
+#: A temporary file older than this, s, was left by a killed program.
 _STALE = 86_400
 
 
@@ -51,14 +51,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Files that a killed program left next to ``path`` are removed after a day.
 
     Raises:
-        UserError: if something stands at ``path`` that is neither file nor folder, such as a
-            device, which renaming would replace; or its folder cannot be one.
+        UserError: if ``path`` is neither file nor folder, such as a device, which renaming would
+            replace; or its parent is not a folder.
     """
     path = Path(path)
     _refuse_device(path, "a file")
     make_folder(path.parent)
     # The suffix stays at the end: encoders and savers choose their format by it. The rest of the
-    # name is drawn, so that nobody can put a link in its place beforehand.
+    # name is random, so that nobody can put a link there beforehand.
     prefix, suffix = f".{path.stem[:_OF_NAME]}.", f".partial{path.suffix}"
     _sweep(path.parent, prefix, suffix)
     number, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
@@ -75,7 +75,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def _sweep(folder: Path, prefix: str, suffix: str = "") -> None:
-    """Remove what programs that were killed left in a folder."""
+    """Remove the files that killed programs left in a folder."""
     for path in folder.glob(f"{glob.escape(prefix)}*{glob.escape(suffix)}"):
         with suppress(OSError):
             if not path.is_symlink() and time.time() - path.stat().st_mtime > _STALE:
@@ -83,9 +83,9 @@ def _sweep(folder: Path, prefix: str, suffix: str = "") -> None:
 
 
 def _to_disk(path: Path) -> None:
-    """Have the system write a file, or a folder's entries, to the disk; best effort on a folder."""
+    """Make the system write a file or a folder's entries to the disk; for a folder, try only."""
     if os.name == "nt":
-        return  # there a file is flushed by whoever has it open for writing
+        return  # there only a program that has a file open for writing can flush it
     number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)
@@ -110,12 +110,12 @@ def _umask() -> int:
 def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
     """Open a file that grows in place, such as a log; make it where there is none.
 
-    The maker of the folder may have put something else in its place: a link, of either kind, leads
-    to a file of somebody else, and a pipe never answers.
+    The maker of the folder may have put something else there: a symbolic or hard link leads to
+        another person's file, and a pipe never answers.
 
     Args:
         path: the file.
-        mode: ``ab`` to append, ``wb`` to begin again, ``xb`` where there must be none yet.
+        mode: ``ab`` to append, ``wb`` to begin again, ``xb`` to create a file that must not exist.
 
     Raises:
         UserError: if a link or anything but a plain file is there, or, with ``xb``, anything.
@@ -158,7 +158,7 @@ def write_text(path: str | Path, text: str) -> None:
 def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill; it appears at ``path`` only if the block succeeds.
 
-    A folder that a killed program had moved aside is put back; its unfinished files next to
+    A folder that a killed program had moved aside is moved back; its unfinished files next to
     ``path`` are removed after a day.
 
     Raises:
@@ -173,7 +173,7 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     partial = Path(tempfile.mkdtemp(prefix=prefix, dir=path.parent))
     try:
         yield partial
-        partial.chmod(0o777 & ~_umask())  # mkdtemp's 0700 is not what a shared folder wants
+        partial.chmod(0o777 & ~_umask())  # mkdtemp's mode 0700 is too strict for a shared folder
         for written in partial.rglob("*"):
             _to_disk(written)
         check_new_folder(path, overwrite=overwrite)  # another program may have made it meanwhile
@@ -191,7 +191,7 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 def _put_back(path: Path, aside: str) -> None:
-    """Put back what was moved aside where a kill left nothing in its place; else remove it."""
+    """Move an old folder back if a kill left no new one; otherwise remove it."""
     for old in path.parent.glob(f"{glob.escape(aside)}*"):
         with suppress(OSError):
             if path.exists():
@@ -201,7 +201,7 @@ def _put_back(path: Path, aside: str) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those that it is in, where they are not there.
+    """Make a folder and its missing parents.
 
     Raises:
         UserError: if one of them is a file.
@@ -213,7 +213,7 @@ def make_folder(path: Path) -> None:
 
 
 def is_empty(folder: str | Path) -> bool:
-    """Return whether there is no such folder, or nothing in it but what a killed program left."""
+    """Return whether a folder does not exist, or holds only leftovers of a killed program."""
     folder = Path(folder)
     return not folder.is_dir() or all(_is_left(path) for path in folder.iterdir())
 
@@ -228,17 +228,17 @@ _LOCK = ".lock"
 
 @contextmanager
 def locked(folder: str | Path, doing: str) -> Iterator[None]:
-    """Keep a folder for this process alone while the block runs.
+    """Lock a folder for this process while the block runs.
 
-    The file ``.lock`` in it says which process on which computer has it. One that a process left
-    that has ended does not count.
+    The file ``.lock`` in it names the process and the computer. A lock of a process that has ended
+    does not count.
 
     Args:
-        folder: that is there.
-        doing: what is done in it, for the message of another process: ``recorded into``.
+        folder: an existing folder.
+        doing: the activity, for the message of another process: ``recorded into``.
 
     Raises:
-        UserError: if another process has it, or something else than a plain file is in its place.
+        UserError: if another process has the lock, or the lock is not a plain file.
     """
     path = Path(folder) / _LOCK
     open_own(path).close()
@@ -247,7 +247,7 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         holder = ""
-        with suppress(OSError):  # Windows lets nobody else read it
+        with suppress(OSError):  # on Windows no other process can read it
             holder = path.read_text(encoding="utf-8", errors="replace")[:512].strip()
         raise UserError(
             f"{folder} is being {doing} by {holder or 'another process'}: wait until it ends, or "
@@ -258,13 +258,13 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
             file.write(f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
     finally:
-        with suppress(PermissionError):  # Windows removes no open file
+        with suppress(PermissionError):  # Windows cannot remove an open file
             path.unlink(missing_ok=True)
         lock.release()
 
 
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
-    """Refuse an output folder that would overwrite something.
+    """Raise an error for an output folder that would overwrite something.
 
     Raises:
         UserError: if ``path`` is a file, a device, or a folder with something in it.
@@ -278,16 +278,16 @@ def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
 
 
 def inside(folder: str | Path, name: object, *, file: str | Path, field: str) -> Path:
-    """Return the place of a file that an artefact names, which stands in the artefact's folder.
+    """Return the path of a file that an artefact names, in the artefact's folder.
 
     Args:
         folder: of the artefact.
-        name: as it is written in the artefact.
-        file: in which it is written, for the message.
-        field: where it stands in there.
+        name: the name in the artefact.
+        file: the file with the name, for the message.
+        field: the field with the name.
 
     Raises:
-        FileError: if it is not the plain name of a file, and so could lead out of the folder.
+        FileError: if it is not a plain file name, and so could lead out of the folder.
     """
     plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set("/\\:\0")
     if not plain:
@@ -298,7 +298,7 @@ def inside(folder: str | Path, name: object, *, file: str | Path, field: str) ->
 
 
 def check_no_links(folder: str | Path) -> None:
-    """Refuse to go on in a folder that holds links: what is written there may not lead elsewhere.
+    """Raise an error for a folder that holds links: files must not be written through them.
 
     Raises:
         UserError: naming the first link in it.
@@ -322,7 +322,7 @@ def write_json(path: str | Path, format: str, version: int, content: Mapping[str
 
 
 def plain(value: Any) -> Any:
-    """Return an array, a tensor or a path as JSON has it."""
+    """Return an array, a tensor or a path as a JSON value."""
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "tolist"):
@@ -330,15 +330,15 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
-#: A JSON file is no larger, bytes; nor is any other text.
+#: Largest size of a JSON file or another text file, bytes.
 MOST_JSON, MOST_TEXT = 64 * 2**20, 1024 * 2**20
 
 
 def check_name(path: str | Path) -> str:
-    """Return the name of a file as text, as libraries beneath Python take it.
+    """Return the name of a file as text for libraries that are not written in Python.
 
     Raises:
-        FileError: if it is not UTF-8, which ends some of them in a crash.
+        FileError: if it is not UTF-8, which crashes some of them.
     """
     try:
         str(path).encode("utf-8")
@@ -348,19 +348,19 @@ def check_name(path: str | Path) -> str:
 
 
 def _instead(path: Path) -> str:
-    """Return the end of a message on a missing file: what its folder has, if that is known."""
+    """Return the end of a message about a missing file: the kind of its folder, if known."""
     kinds = ("trial", "recording", "dataset", "simulator", "controller")
     kind = next((one for one in kinds if (path.parent / f"{one}.json").is_file()), None)
     return "" if kind is None or path.suffix != ".json" else f", but {path.parent} is a {kind}"
 
 
 def check_file(path: str | Path, expected: str, *, most: int | None = None) -> None:
-    """Make sure that a file can be read to its end: a pipe may wait for ever, a device has none.
+    """Check that a file can be read to its end, which a pipe or a device may not have.
 
     Args:
         path: the file.
-        expected: what it should be, for messages: ``a CSV file``.
-        most: how large it may be, bytes.
+        expected: the expected kind, for messages: ``a CSV file``.
+        most: largest size, bytes.
 
     Raises:
         FileError: if there is no such file, or it is a folder or a device.
@@ -392,10 +392,10 @@ def read_text(
 
     Args:
         path: the file.
-        expected: what it should be, for messages: ``a CSV file``.
+        expected: the expected kind, for messages: ``a CSV file``.
         encoding: of the file.
-        most: how large it may be, bytes.
-        not_text: what to do where it is not text; by default with the expected kind.
+        most: largest size, bytes.
+        not_text: advice for a file that is not text; by default the expected kind.
 
     Raises:
         FileError: if there is no such file, or it is a folder or a device, or not text.
@@ -431,12 +431,11 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def parse_json(text: str) -> Any:
-    """Return the content of a JSON text; its numbers are such as a float or 64 bits hold.
+    """Return the content of a JSON text; its numbers fit into a float or 64 bits.
 
     Raises:
         json.JSONDecodeError: if it is not JSON.
-        ValueError: if it is one that nothing here can work with: a number that is too large, a
-            key that stands twice, brackets within brackets beyond measure.
+        ValueError: if a number is too large, a key appears twice, or it is nested too deeply.
     """
     try:
         return json.loads(
@@ -459,8 +458,8 @@ def read_json(
         path: the file.
         format: the expected value of the key ``format``.
         version: the newest version that this code reads.
-        kind: what it holds, declared (:mod:`neurosim.base.formats`); keys that may be missing and
-            are null are left out of what is returned.
+        kind: the declared content (:mod:`neurosim.base.formats`); optional keys that are null are
+            left out of the result.
         oldest: the oldest version that this code reads.
 
     Raises:
@@ -506,12 +505,12 @@ def made(path: str | Path, field: str, make: Callable[..., Made], settings: Mapp
 
     Args:
         path: the file, for messages.
-        field: in which the settings stand.
-        make: takes the settings as keywords.
-        settings: of the file.
+        field: the field with the settings.
+        make: a function that takes the settings as keywords.
+        settings: from the file.
 
     Raises:
-        FileError: naming the setting that is wrong, or unknown.
+        FileError: naming the setting that is wrong or unknown.
     """
     try:
         return make(**settings)
@@ -554,7 +553,7 @@ def flag(text: str) -> bool:
     return text == "1"
 
 
-#: Parser -> the text that it expects, and the type of a column of it.
+#: Parser -> the text that it expects, and the type of its column.
 _PARSED: dict[Column, tuple[str, Any]] = {
     number: ("a finite number", float),
     optional_number: ("a finite number or nothing", float),
@@ -574,18 +573,17 @@ def read_csv(
     """Read the named columns of a CSV file, checking every field.
 
     Args:
-        path: the file; its first line names the columns. Columns not asked for are passed over.
+        path: the file; its first line names the columns. Other columns are ignored.
         columns: column name -> parser (``number``, ``optional_number``, ``integer``, ``flag``,
             ``str``, or any function that raises ValueError).
-        drop_torn_line: pass over a last line without a line end: a writer was killed in it.
-        rows: how many there are, where the JSON next to the file says it.
+        drop_torn_line: ignore a last line without a line end, in which a writer was killed.
+        rows: expected number, if the JSON next to the file has it.
 
     Returns:
-        The columns, in the order of ``columns``; the index says on which line of the file a row
-        stands.
+        The columns, in the order of ``columns``; the index has each row's line in the file.
 
     Raises:
-        FileError: naming the line and the field, if something is missing or is wrong.
+        FileError: naming the line and the field that is missing or wrong.
     """
     import pandas as pd
 
@@ -624,14 +622,14 @@ def table_of_lines(
     Args:
         path: the file, for messages.
         header: the line with the column names.
-        lines: number in the file -> line; empty ones are passed over.
+        lines: line number in the file -> line; empty ones are ignored.
         delimiter: between fields; a blank stands for any number of them.
 
     Returns:
         The fields as text, a column for each name, indexed by the number of the line.
 
     Raises:
-        FileError: naming the line, where it has more or fewer fields than there are names.
+        FileError: naming the line that has more or fewer fields than there are names.
     """
     import pandas as pd
 
@@ -679,7 +677,7 @@ def parsed(path: Path, column: pd.Series, parse: Column, expected: str = "") -> 
         path: the file, for the message.
         column: of :func:`table_of_lines`.
         parse: of a field; it raises ValueError.
-        expected: what it takes, for the message.
+        expected: the values that it accepts, for the message.
 
     Raises:
         FileError: naming line, column and text of the first field that is wrong.
@@ -699,7 +697,7 @@ def parsed(path: Path, column: pd.Series, parse: Column, expected: str = "") -> 
 
 
 def refuse_lines(path: Path, table: pd.DataFrame, wrong: Any, what: str, field: str = "") -> None:
-    """Refuse a table of :func:`read_csv` where any of its rows is wrong, (N,) bool.
+    """Raise an error for a table of :func:`read_csv` if any row is wrong, (N,) bool.
 
     Raises:
         FileError: naming the first such line.
@@ -724,10 +722,10 @@ def read_header(path: str | Path) -> tuple[str, ...]:
 
 
 class LineLog:
-    """A CSV file that grows line by line, each handed to the system as it is written.
+    """A CSV file that grows line by line; each line is given to the system at once.
 
     A kill of the program between two lines loses nothing; one within a line leaves a torn last
-    line, which ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
+    line, which ``read_csv(..., drop_torn_line=True)`` ignores and reopening this log removes.
     A failure of the computer can lose the last seconds, until the log is closed, which waits for
     the disk: a line is written down before a motor is set, and a disk may take longer than a robot
     can wait.
@@ -756,14 +754,14 @@ class LineLog:
             self._file.flush()
 
     def append(self, *values: Any) -> None:
-        """Hand one line to the system; floats in shortest exact form, None and NaN as nothing."""
+        """Give one line to the system; floats in shortest exact form, None and NaN as nothing."""
         if len(values) != len(self.columns):
             raise ValueError(f"expected {len(self.columns)} values, got {len(values)}")
         self._writer.writerow([_field(value) for value in values])
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file, once the disk has it."""
+        """Close the file after it is on the disk."""
         if not self._file.closed:
             with self._file:
                 os.fsync(self._file.fileno())
@@ -792,7 +790,7 @@ def _fields(column: Sequence) -> list:
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Sequence]) -> None:
-    """Write columns of equal length as CSV, whole or not at all; NaN as nothing."""
+    """Write columns of equal length as CSV, whole or not at all; NaN as an empty field."""
     with atomic_path(path) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
@@ -803,7 +801,7 @@ def sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal.
 
     Raises:
-        FileError: if it is no file.
+        FileError: if it is not a file.
     """
     check_file(path, "a file")
     with open(path, "rb") as file:
@@ -826,7 +824,7 @@ def read_tensors(
 
     Args:
         path: the file.
-        shapes: tensors that must be there, with their shapes; None stands for any length.
+        shapes: required tensors with their shapes; None stands for any length.
 
     Raises:
         FileError: if the file is missing or cut short, or a tensor is missing, has another
@@ -862,13 +860,13 @@ def read_tensors(
 
 
 def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
-    """Read the objects of a file of JSON lines, without a torn last one.
+    """Read the objects of a file of JSON lines, without an incomplete last one.
 
     Returns:
-        The objects, the head first, and how many bytes of the file they are.
+        The objects, the head first, and their number of bytes in the file.
 
     Raises:
-        FileError: if the file is missing, or a line is no JSON object.
+        FileError: if the file is missing, or a line is not a JSON object.
     """
     path = Path(path)
     text = read_text(path, "a file of JSON lines in UTF-8")
@@ -888,18 +886,18 @@ def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
 class JsonLines:
     """A file of JSON objects, one a line, each on the disk before :meth:`append` returns.
 
-    The first line has ``format``, ``version`` and what all lines share. A kill within a line
-    leaves a torn last line, which opening the file again removes.
+    The first line has ``format``, ``version`` and the values common to all lines. A kill within a
+    line leaves a torn last line, which opening the file again removes.
 
     Attributes:
-        rows: the objects that stood there when it was opened.
+        rows: the objects in the file when it was opened.
     """
 
     def __init__(self, path: str | Path, format: str, version: int, about: Mapping[str, Any]):
         """Open the file, or begin it.
 
         Raises:
-            FileError: if it is another file, or a line of it is damaged.
+            FileError: if it is a file of another kind, or a line of it is damaged.
         """
         self.path = Path(path)
         make_folder(self.path.parent)

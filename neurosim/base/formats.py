@@ -1,7 +1,7 @@
 """The JSON files of this program: every format, declared once.
 
 A reader checks a file against one of these (:func:`neurosim.base.files.read_json`); a key with the
-default None may be missing or null. Keys that are not declared are passed over.
+default None may be missing or null. Other keys are ignored.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from msgspec import Meta, Struct
 
 from neurosim.base.declared import Coordinate, Fraction, Metres, MetresOrNone, Pose, TagId
 
-#: Poses of results are no farther away, m, and turn no more, rad: pictures of them are drawn.
+#: Largest coordinates (m) and headings (rad) of results, because pictures of them are drawn.
 FARTHEST = 1e5
 Far = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 FarPose = tuple[Far, Far, Far]
-#: How many rows or units; there may be none.
+#: A number of rows or units, at least 0.
 Whole = Annotated[int, Meta(ge=0, le=10**9)]
 #: A size or an amount of noise, m or as a fraction.
 Size = Annotated[float, Meta(ge=0, le=10)]
 Amount = Annotated[float, Meta(ge=0, le=100)]
-#: Of the delays of a robot, s.
+#: A delay of a robot, s.
 Delay = Annotated[float, Meta(ge=0, le=1)]
 
 
@@ -29,25 +29,25 @@ class Format(Struct):
     """Base of all."""
 
 
-#: Walls and corners of places, m, and how many at most; obstacles, too.
+#: Walls, corners and obstacles of places, m, and their largest number.
 MOST_SHAPES = 1000
 Corners = Annotated[list[tuple[Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)]
 Walls = Annotated[
     list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)
 ]
-#: A pose, or where the robot was not seen.
+#: A pose; null if the robot was not seen.
 Seen = tuple[float | None, float | None, float | None]
-#: A command: its numbers in the robot's units, and behind them, in a plan, a duration in s.
+#: A command: its numbers in the robot's units; in a plan, a duration in s follows.
 CommandRow = Annotated[
     list[Annotated[float, Meta(ge=-1e6, le=1e6)]], Meta(min_length=2, max_length=64)
 ]
-#: Of a picture, and of a camera.
+#: Sizes of a picture, and numbers of a camera.
 Pixels = Annotated[int, Meta(ge=1, le=10**6)]
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
 
-# What several hold
+# Parts of several files
 
 
 class Column(Format):
@@ -982,7 +982,7 @@ class BegunSampling(Sampling, kw_only=True):
     seed: int
 
 
-# Controllers and what they did
+# Controllers and their drives
 
 
 class Unmet(Format):

@@ -1,4 +1,4 @@
-"""The loop that everything long runs in: generations, progress, checkpoints, Ctrl-C."""
+"""The loop of all long computations: generations, progress, checkpoints, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from typing import Any, Protocol
 from neurosim.base.interrupts import deferred_interrupt
 from neurosim.base.progress import Progress
 
-#: Seconds between checkpoints: a kill loses no more than this.
+#: Seconds between checkpoints, the most that a kill loses.
 CHECKPOINT_EVERY = 5.0
-#: A first generation that takes longer is said to be compiled, s.
+#: After this time, s, a message says that the first generation is being compiled.
 COMPILES_AFTER = 4.0
 
 
 class Stage(Protocol):
-    """Something that goes on generation after generation."""
+    """A computation in generations."""
 
     @property
     def done(self) -> int:
-        """How many generations there were so far."""
+        """Number of generations so far."""
         ...
 
     def generation(self) -> str:
-        """Work one generation; return a short figure of how it stands."""
+        """Compute one generation; return a short figure of its progress."""
         ...
 
     def state(self) -> Mapping[str, Any]:
-        """Return all that the next generations depend on, as arrays."""
+        """Return as arrays all values on which the next generations depend."""
         ...
 
 
 def compiling_notice(what: str, say: Callable[[str], None] | None = None) -> threading.Timer:
-    """Start what says, unless it is cancelled soon, why the first time takes so long.
+    """Start a timer whose message explains a slow first generation; cancel it to prevent this.
 
     Args:
-        what: is under way: "the first generation".
+        what: the computation: "the first generation".
         say: takes the message; by default it goes to stderr.
     """
     message = (
@@ -69,10 +69,10 @@ def run_generations(
     """Run a stage up to ``total`` generations; return whether Ctrl-C (or a kill) ended it early.
 
     Args:
-        stage: what runs; one that was resumed goes on from ``stage.done``.
+        stage: the computation; a resumed one continues from ``stage.done``.
         total: generations.
         label: of the progress shown.
-        save: keeps the stage's state: now and then, and when it is interrupted.
+        save: saves the stage's state: from time to time, and when it is interrupted.
         every: seconds between two calls of ``save``.
         progress: whether to show progress on stderr.
         after: called after each generation.

@@ -1,4 +1,4 @@
-"""Signals that end a program (Ctrl-C, a kill, a closed terminal), and when they are answered."""
+"""Signals that end a program (Ctrl-C, a kill, a closed terminal), and when they are handled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-#: What asks a program to end: Ctrl-C, a kill, a closed terminal, Ctrl-backslash.
+#: Signals that ask a program to end: Ctrl-C, a kill, a closed terminal, Ctrl-backslash.
 SIGNALS = [
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
@@ -20,28 +20,28 @@ SIGNALS = [
 ]
 
 
-#: A process that was asked to end is ended after so long, s; where something runs that must not be
-#: interrupted (a generation, a compiled loop), after so long, unless it is only being compiled.
+#: Time after which a process that was asked to end is ended, s; and the time where a generation or
+#: a compiled loop runs, which must not be interrupted, unless it is only being compiled.
 PATIENCE, LONGEST = 4.0, 60.0
 
-#: The one that asked last.
+#: The last signal.
 _last = [int(signal.SIGINT)]
-#: How often it was asked since :func:`forget_signals`; whether :func:`_watch` waits for its end.
+#: Number of signals since :func:`forget_signals`; whether :func:`_watch` waits for the end.
 _asked, _watched = [0], [False]
-#: Whether something runs in the main thread that is not to be interrupted.
+#: Whether the main thread runs code that must not be interrupted.
 _outer = [False]
-#: How many things run that end by themselves before they answer, and when the last one ended.
+#: Number of running blocks that delay signals until their end, and the time of the last end.
 _deferring, _deferred_until = [0], [0.0]
 #: Whether this process is the command line's own, and may be ended by :func:`end_now`.
 _own_process = [False]
-#: What stops motors, for a process that has to be ended.
+#: Functions that stop motors, for a process that must be ended.
 _stops: list[Callable[[], object]] = []
 
 
 def own_process() -> None:
-    """Say that this process is the command line's own: one that does not end in time is ended.
+    """Mark this process as the command line's own, which is ended if it does not end in time.
 
-    Signals that come before :func:`answer_signals` end it at once: nothing has begun.
+    Signals before :func:`answer_signals` end it at once, because nothing has begun.
     """
     _own_process[0] = True
     for number in SIGNALS:
@@ -51,13 +51,13 @@ def own_process() -> None:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    if hasattr(os, "register_at_fork"):  # what a child is asked is not asked of this process
+    if hasattr(os, "register_at_fork"):  # a signal to a child is not for this process
         os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
     threading.Thread(target=_watch, args=(reader,), name="end", daemon=True).start()
     ignored = sys.unraisablehook
 
     def again(unraisable: Any) -> None:
-        # Raised within a callback of compiled code (Numba's compiler), it came to nothing.
+        # An exception within a callback of compiled code (Numba's compiler) had no effect.
         if unraisable.exc_type is KeyboardInterrupt:
             threading.Timer(0.05, os.kill, (os.getpid(), _last[0])).start()
         else:
@@ -67,23 +67,23 @@ def own_process() -> None:
 
 
 def asked_to_end() -> bool:
-    """Return whether something asked this program to end, answered or not."""
+    """Return whether a signal asked this program to end, handled or not."""
     return _asked[0] > 0
 
 
 def forget_signals() -> None:
-    """Take what was asked so far for answered, as by a program that Ctrl-C ends as it should."""
+    """Treat the signals so far as handled, for a program that Ctrl-C ends normally."""
     _asked[0], _watched[0] = 0, False
 
 
 def ended_as_usual() -> None:
-    """Answer Ctrl-C where it is the way to end a program; other signals still interrupt it."""
+    """Handle Ctrl-C as the normal end of a program; other signals still interrupt it."""
     if _last[0] == signal.SIGINT:
         forget_signals()
 
 
 def ignore_signals() -> None:
-    """Ignore what asks to end from now on: the process of the command line is ending."""
+    """Ignore further signals, because the process of the command line is ending."""
     if _own_process[0]:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -91,7 +91,7 @@ def ignore_signals() -> None:
 
 @contextmanager
 def stopped_at_end(stop: Callable[[], object]) -> Iterator[None]:
-    """Have motors stopped by ``stop`` should the process have to be ended meanwhile."""
+    """Stop motors by ``stop`` if the process must be ended while the block runs."""
     _stops.append(stop)
     try:
         yield
@@ -100,7 +100,7 @@ def stopped_at_end(stop: Callable[[], object]) -> Iterator[None]:
 
 
 def end_now(number: int) -> None:
-    """End this process at once, as the signal asks; motors are stopped as far as they can be."""
+    """End this process at once by its signal; stop the motors if possible."""
     for stop in list(_stops):
         thread = threading.Thread(target=_quietly, args=(stop,), daemon=True)
         thread.start()
@@ -110,7 +110,7 @@ def end_now(number: int) -> None:
     os._exit(128 + number)
 
 
-#: What a program says that was interrupted.
+#: Message of an interrupted program.
 INTERRUPTED = (
     "neurosim: interrupted; complete files can be read; if there is a checkpoint, run the "
     "command again with --resume"
@@ -123,7 +123,7 @@ def _quietly(stop: Callable[[], object]) -> None:
 
 
 def _note(number: int) -> None:
-    """Note that a signal asked to end."""
+    """Record a signal that asked to end."""
     _last[0] = number
     _asked[0] += 1
 
@@ -145,7 +145,7 @@ def _watch(reader: int) -> None:
 
 
 def _compiles() -> bool:
-    """Return whether Numba compiles something: that takes long, and ending it loses nothing."""
+    """Return whether Numba is compiling, which takes long and may be ended without loss."""
     module = sys.modules.get("numba.core.compiler_lock")
     if module is None:
         return False
@@ -157,7 +157,7 @@ def _compiles() -> bool:
 
 
 def answer_signals() -> None:
-    """Have what asks this program to end raise KeyboardInterrupt.
+    """Make the signals that ask this program to end raise KeyboardInterrupt.
 
     Signals that are ignored (``nohup``, a shell's background) stay ignored.
     """
@@ -179,9 +179,9 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def interruption_in(error: BaseException) -> KeyboardInterrupt | None:
-    """Return the interruption that an error is, or came from; None if it is another error.
+    """Return the interruption that caused an error, or the error itself if it is one; else None.
 
-    Ctrl-C within compiled code comes out of it wrapped, once or more often.
+    Compiled code wraps a Ctrl-C in other exceptions, once or several times.
     """
     waiting, seen = [error], set()
     while waiting:
@@ -195,10 +195,10 @@ def interruption_in(error: BaseException) -> KeyboardInterrupt | None:
 
 
 class Interrupt:
-    """Whether the program was asked to end.
+    """A request to end the program.
 
     Attributes:
-        pending: it was, and has not been answered yet.
+        pending: whether there is one that was not handled yet.
     """
 
     def __init__(self) -> None:
@@ -207,14 +207,14 @@ class Interrupt:
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Interrupt]:
-    """Let a generation end before Ctrl-C is answered; the second Ctrl-C is answered at once.
+    """Let a generation end before Ctrl-C is handled; a second Ctrl-C is handled at once.
 
     Compiled code that runs on several cores does not survive an exception that is raised in the
     middle of it. SIGTERM, SIGHUP and SIGQUIT are deferred likewise, where Python handles them.
     Signals that are ignored (``nohup``, a shell's background) stay ignored.
 
     Raises:
-        KeyboardInterrupt: at the second one, also where it came out of compiled code wrapped.
+        KeyboardInterrupt: at the second one, also if compiled code wrapped it.
     """
     interrupt = Interrupt()
 
@@ -241,13 +241,13 @@ def deferred_interrupt() -> Iterator[Interrupt]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let what runs inside end before anything that asks the program to end is answered.
+    """Let the block end before a signal that asks the program to end is handled.
 
     For compiled code that runs on several cores, which does not survive an exception that is
     raised in the middle of it (:func:`deferred_interrupt` is for a whole generation). Signals that
-    came meanwhile are answered at the end, by their former handler; the third is answered at once,
-    for what runs inside may be anything. Within another one it does nothing: the outer one answers.
-    Also a decorator.
+    came meanwhile are handled at the end, by their former handler. The third is handled at once,
+    because the block may take any time. Inside another such block it does nothing: the outer one
+    handles them. Also a decorator.
 
     Raises:
         KeyboardInterrupt: at the end, or at the third.
@@ -277,7 +277,7 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def not_suspended() -> Iterator[None]:
-    """Have Ctrl-Z end what runs inside, as Ctrl-C does: a suspended program stops no motors."""
+    """Make Ctrl-Z end the block like Ctrl-C, because a suspended program cannot stop motors."""
     number = getattr(signal, "SIGTSTP", None)
     if number is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -294,7 +294,7 @@ def not_suspended() -> Iterator[None]:
 
 
 def _replaced(answer: Any) -> dict[int, Any]:
-    """Have a function answer what Python handles of the signals; return what answered it before."""
+    """Set the handler of the signals that Python handles; return the former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     handlers = {number: signal.getsignal(number) for number in SIGNALS}

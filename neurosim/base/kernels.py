@@ -11,9 +11,9 @@ from numba import njit
 def kernel(**options: Any) -> Callable[[Any], Any]:
     """Compile a function that is a part of a loop and makes no arrays.
 
-    Numba counts references to each array and each part of one. In a step of a robot that takes as
-    long as the step itself; the caller of a kernel keeps the arrays, so kernels count none. Only
-    compiled code can call it: what Python would need to call a function takes long to compile.
+    Numba counts references to each array and each part of one. In a robot's step this takes as long
+    as the step itself. The caller of a kernel keeps the arrays, so kernels do not count. Only
+    compiled code can call a kernel, because an interface to Python takes long to compile.
     ``inline="always"`` copies a function into each of its callers before types are found, so it is
     for a few lines; ``forceinline`` leaves larger parts to LLVM.
 

@@ -1,4 +1,4 @@
-"""Packages whose names are imported when they are used, so that a command starts fast."""
+"""Packages whose names are imported at their first use, so that a command starts fast."""
 
 from __future__ import annotations
 

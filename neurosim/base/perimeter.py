@@ -1,8 +1,8 @@
 """Where a guard ends a drive: at the line around a board, and at the board's edge.
 
-A recording carries the board and the robot's light sensors; the dataset and the simulator carry
-them on. The guard of a session, the virtual lab, tasks and pictures read them here, so that a
-drive ends in a simulator where it ends on the robot.
+A recording has the board and the robot's light sensors; the dataset and the simulator get them from
+it. The guard of a session, the virtual lab, tasks and pictures use this module, so that a drive
+ends in a simulator where it ends on the robot.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.threads import WORTH_SHARING, on_cores
 
-#: What ended a drive, by code from 1; 0: nothing. Words that follow "the robot".
+#: Reason of a drive's end, by code from 1 (0: not ended); the words follow "the robot".
 ENDS = (
     "was stopped at the perimeter line",
     "was stopped at the board's edge",
@@ -29,13 +29,13 @@ ENDS = (
 )
 LINE, EDGE, UNSEEN = 1, 2, 3
 
-#: From the moment at which the guard finds that the robot leaves until the robot stands, s.
+#: Time from the guard's decision until the robot stands, s.
 STOPPING = 0.25
 #: Error of a distance that was only commanded, as a fraction of it.
 DISTANCE_ERROR = 0.15
 #: Sensors are checked at the beginning of a path and at least this often along it, m.
 SPACING = 0.01
-#: And at least as often as a line is wide, but no more often than this, m.
+#: The interval is at most the line's width, but never less than this, m.
 CLOSEST = 0.001
 #: A robot drives no longer arc than this in one interval, m; see :meth:`Perimeter.ends`.
 LONGEST_ARC = 1.5
@@ -60,13 +60,13 @@ class Board(Checked):
 
 @dataclass(frozen=True)
 class Perimeter(Checked):
-    """A board and what of a robot the guard goes by.
+    """A board, and the parts of a robot that the guard checks.
 
     Attributes:
         board: the board.
         sensors: x (forward) and y (left) of each light sensor in the robot's frame, m.
-        margin: the middle of the axle stays so far inside the edge, m; None: the robot's position
-            is not guarded.
+        margin: smallest distance of the middle of the axle from the edge, m; None: the robot's
+            position is not guarded.
     """
 
     board: Board = Board()
@@ -75,15 +75,15 @@ class Perimeter(Checked):
 
     @classmethod
     def of_recording(cls, meta: Mapping[str, Any]) -> Perimeter:
-        """Return the perimeter of a recording, as its guard goes by it.
+        """Return the perimeter that the guard of a recording uses.
 
         Args:
-            meta: of recording.json: ``board``; ``robot``, whose ``light_sensors`` has the place of
-                each; ``settings``, with the guard's.
+            meta: content of recording.json: ``board``; ``robot`` with the positions of its
+                ``light_sensors``; ``settings`` with those of the guard.
         """
         names = [one.name for one in fields(Board)]
         known = {name: meta["board"][name] for name in names if name in meta["board"]}
-        known.setdefault("line_width", 0.0)  # a line that nobody wrote down is not known
+        known.setdefault("line_width", 0.0)  # a line that is not written down is unknown
         sensors = (meta["robot"].get("light_sensors") or {}).values()
         perimeter = cls(Board(**known), tuple((float(x), float(y)) for x, y in sensors))
         guard = (meta.get("settings") or {}).get("guard") or {}
@@ -91,19 +91,19 @@ class Perimeter(Checked):
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any] | None) -> Perimeter | None:
-        """Return the perimeter that :meth:`describe` described; None of None."""
+        """Return the perimeter from the JSON of :meth:`describe`; None for None."""
         if content is None:
             return None
         sensors = tuple((x, y) for x, y in content["sensors"])
         return cls(Board(**content["board"]), sensors, content.get("margin"))
 
     def describe(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the perimeter for JSON."""
         content = asdict(self)
         return {**content, "sensors": [list(place) for place in self.sensors]}
 
     def guarded(self, by: str) -> Perimeter:
-        """Return the perimeter as a guard goes by it: ``both``, or ``position`` alone."""
+        """Return the perimeter that a guard uses: ``both``, or ``position`` alone."""
         return self if by == "both" else replace(self, sensors=())
 
     def ends(
@@ -113,7 +113,7 @@ class Perimeter(Checked):
         duration: NDArray[np.float64] | float,
         running: NDArray[np.bool_] | None = None,
     ) -> NDArray[np.float64]:
-        """Return where the guard ends intervals of K drives.
+        """Return the poses at which the guard ends intervals of K drives.
 
         A robot moves on the arc of constant twist between two poses, or straight where that arc is
         longer than :data:`LONGEST_ARC`. It is stopped where a light sensor is on the line or beyond
@@ -123,9 +123,9 @@ class Perimeter(Checked):
         Args:
             guard: [K, 4] the last known poses (m, m, rad, board frame), and codes of :data:`ENDS`
                 or 0; changed in place for drives that are running.
-            after: [K, 3] poses at the end; an interval with a pose that is not known does not end.
+            after: [K, 3] poses at the end; an interval with an unknown pose is not ended.
             duration: [K] or one for all, s.
-            running: [K] which drives are still to be ended; by default all.
+            running: [K] whether each drive is still running; by default all.
 
         Returns:
             Poses [K, 3] at the end of each interval, or where the robot was stopped.
@@ -149,7 +149,7 @@ class Perimeter(Checked):
 
 @njit(cache=True, nogil=True)
 def _inside(x: float, y: float, half: tuple[float, float]) -> float:
-    """Return how far a point is inside the board's edge, m; below 0 outside."""
+    """Return a point's distance from the board's edge, m; below 0 outside."""
     return min(half[0] - abs(x), half[1] - abs(y))
 
 
@@ -166,7 +166,7 @@ def _ends(
     sensors: NDArray,
     margin: float,
 ) -> None:
-    """Write ``guard`` [K, 4], and into ``poses`` [K, 3] where robots stop; see Perimeter.ends.
+    """Write ``guard`` [K, 4], and the stopped robots' ``poses`` [K, 3]; see Perimeter.ends.
 
     ``first`` and ``last`` limit the robots, from the first to before the last.
     """
@@ -192,7 +192,7 @@ def _ends(
         # The guard looks ahead along the same arc.
         ahead = STOPPING / seconds[k] if seconds[k] > 1e-6 else 0.0
         length_ahead = length * ahead
-        # Farther inside than this nothing ends; the middle moves no faster than along the arc.
+        # Farther inside, no drive ends; the middle moves no faster than along the arc.
         near = reach + inner
         if margin == margin:
             near = max(near, margin + (1.0 + DISTANCE_ERROR) * length_ahead)

@@ -1,8 +1,8 @@
-"""Places: what a robot drives in and on, in one small JSON file.
+"""Places: walls, obstacles, lines, lights and the board around a robot, in one small JSON file.
 
 Lengths are in metres, in a frame with x to the right and y up, its origin in the middle of the
-board where there is one. The outline is a closed polygon of walls; further walls stand inside it,
-boards of which a robot meets the two sides and, less well seen, the ends. Obstacles are round.
+board where there is one. The outline is a closed polygon of walls; further walls stand inside it; a
+robot meets their two sides and their ends, which are hard to see. Obstacles are round.
 Lines are printed on the floor. The board has an edge and a perimeter line, at which a guard ends
 drives (:mod:`neurosim.base.perimeter`).
 """
@@ -37,7 +37,7 @@ from neurosim.base.perimeter import Board
 
 FORMAT, VERSION = "neurosim-place", 1
 _Part = TypeVar("_Part")
-#: Points nearer to each other than this are one, m.
+#: Points nearer to each other than this count as one, m.
 _SAME = 1e-3
 #: Thickness of a wall that stands inside, m.
 THICKNESS = 0.01
@@ -54,7 +54,7 @@ class Line(Checked):
     """A dark line that is printed on the floor.
 
     Attributes:
-        points: x and y of where its middle runs, m; straight between them.
+        points: x and y of corners of its middle line, m; straight between them.
         width: width of the line, m.
         closed: whether the last point is joined to the first.
     """
@@ -72,7 +72,7 @@ class Line(Checked):
 
     @cached_property
     def loop(self) -> ClosedLine:
-        """The line as a closed one; an open line leads there and back."""
+        """The line as a closed one; an open line leads to its end and back."""
         points = self.points
         if not self.closed:
             back = points[-2:0:-1] or [tuple(np.mean(points, axis=0))]
@@ -80,7 +80,7 @@ class Line(Checked):
         return ClosedLine(points)
 
     def shapes(self) -> list[dict[str, Any]]:
-        """Return its straight pieces as shapes of a picture."""
+        """Return the line's straight pieces as shapes of a picture."""
         points = [*self.points, *self.points[: int(self.closed)]]
         width = self.width
         return [{"polygon": [list(a), list(b)], "width": width} for a, b in pairwise(points)]
@@ -101,7 +101,7 @@ class Place(Checked):
         start: pose at which robots start: x (m), y (m), heading (rad).
 
     Raises:
-        UserError: if something has no size, stands outside of the outline or in something else.
+        UserError: if a part has no size, is outside of the outline or overlaps another one.
     """
 
     outline: tuple[Point, ...] = ()
@@ -143,19 +143,19 @@ class Place(Checked):
             corner: radius of a rectangle's corners, m.
 
         Raises:
-            UserError: if there is no such line.
+            UserError: if a size is impossible.
         """
         line = ClosedLine.of(shape, length, width, corner)
         return cls(lines=(Line(_rows(np.round(line.points, 6).tolist())),))
 
     @classmethod
     def of(cls, place: Place | Mapping[str, Any] | str | Path) -> Place:
-        """Return a place: itself, of what :meth:`to_json` returned, of a name or of a file.
+        """Return a place from a place, a result of :meth:`to_json`, a name or a file.
 
         Raises:
             SettingError: naming the field of a mapping that is not as declared.
-            UserError: if there is no such place.
-            FileError: if a file is not that of a place.
+            UserError: if the name is unknown.
+            FileError: if a file is not a place.
         """
         if isinstance(place, Place):
             return place
@@ -179,8 +179,8 @@ class Place(Checked):
         """Read and check a place.
 
         Raises:
-            FileError: naming the field: a number that is missing, an obstacle that is outside or
-                overlaps something, a start in something solid.
+            FileError: naming the field of a missing number, an obstacle outside or in another part,
+                or a start in a solid part.
         """
         return cls.from_json(path, files.read_json(path, FORMAT, VERSION, formats.Place))
 
@@ -203,7 +203,7 @@ class Place(Checked):
             lines = enumerate(parts["lines"])
             parts["lines"] = tuple(_part(f"lines[{n}]", Line, line) for n, line in lines)
         if "board" in parts:
-            # A line that nobody wrote down is not there.
+            # A line that is not written down does not exist.
             parts["board"] = _part("board", Board, {"line_width": 0.0, **parts["board"]})
         return cls(**parts)
 
@@ -218,7 +218,7 @@ class Place(Checked):
         files.write_json(path, FORMAT, VERSION, self.to_json())
 
     def shapes(self) -> list[dict[str, Any]]:
-        """Return its shapes for a picture, in the form of a task's outline."""
+        """Return the place's shapes for a picture, in the form of a task's outline."""
         shapes: list[dict[str, Any]] = []
         if self.board is not None:
             shapes += board_shapes(self.board)
@@ -250,7 +250,7 @@ class Place(Checked):
 
     @property
     def solid(self) -> bool:
-        """Whether there is anything that a robot can touch."""
+        """Whether the place has surfaces that a robot can touch."""
         return bool(self.outline or self.walls or self.obstacles)
 
     @property
@@ -270,9 +270,9 @@ class Place(Checked):
 
     @property
     def screens(self) -> NDArray[np.float64]:
-        """Walls that may stand between a robot inside and something else, [H, 4].
+        """Walls that may hide objects from a robot inside, [H, 4].
 
-        The outline where it is not convex, and the middles of the walls inside.
+        These are the outline if it is not convex, and the middles of the walls inside.
         """
         sides = self._outline
         edges = sides[:, 2:] - sides[:, :2]
@@ -283,7 +283,7 @@ class Place(Checked):
         return inner if convex else np.concatenate([sides, inner])
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether points [..., 2] lie within the outline; without one, all do."""
+        """Return whether points [..., 2] are inside the outline; without one, all are."""
         points = np.asarray(points, float)
         if not self.outline:
             return np.ones(points.shape[:-1], np.bool_)
@@ -295,7 +295,7 @@ class Place(Checked):
         return (crosses & right).sum(axis=-1) % 2 == 1
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return how far points [..., 2] are from the nearest surface, m; below 0 in solids."""
+        """Return the distance of points [..., 2] from the nearest surface, m; below 0 in solids."""
         points = np.asarray(points, float)
         clearance = wall_distances(self.surfaces, points).min(axis=-1, initial=np.inf)
         if self.walls:
@@ -308,7 +308,7 @@ class Place(Checked):
         return cleared
 
     def check_start(self, pose: ArrayLike, radius: float) -> None:
-        """Make sure that a robot fits where it is to start.
+        """Check that a robot fits at its start.
 
         Raises:
             UserError: if it would stand outside, or in a wall or an obstacle.
@@ -325,10 +325,10 @@ class Place(Checked):
     def free_poses(
         self, count: int, radius: float, rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return poses [count, 3] drawn evenly from all where a robot touches nothing.
+        """Return random poses [count, 3], uniform over all poses at which a robot touches nothing.
 
         Raises:
-            UserError: if there is hardly such a place, or its size is unknown.
+            UserError: if there are hardly any such poses, or the size of the place is unknown.
         """
         x1, y1, x2, y2 = self.bounds
         free = np.empty((0, 2))
@@ -388,8 +388,8 @@ class Place(Checked):
 def paper_arena(scale: float = 1.0) -> Place:
     """Return the arena of Lund and Miglino 1996.
 
-    60 x 35 cm with three round obstacles of 5.5 cm across in its middle; the paper does not say
-    how they stand: here in a row, 12 cm apart.
+    60 x 35 cm with three round obstacles of 5.5 cm diameter in its middle. The paper does not give
+    their positions: here they are in a row, 12 cm apart.
 
     Args:
         scale: of the arena and of the distances in it, not of the obstacles.
@@ -399,16 +399,17 @@ def paper_arena(scale: float = 1.0) -> Place:
 
 
 def lit_arena() -> Place:
-    """Return a room of 80 x 60 cm with a light in a corner, and a wall before it."""
+    """Return a room of 80 x 60 cm with a light in a corner behind a wall."""
     return replace(
         Place.rectangle(0.80, 0.60), walls=((0.0, 0.05, 0.15, 0.05),), lights=((0.20, 0.15),)
     )
 
 
 def cylinder_arena() -> Place:
-    """Return a room of 40 x 40 cm with a cylinder of 25 mm across, as of evorobotpy2's ErDiscrim.
+    """Return a room of 40 x 40 cm with a cylinder of 25 mm diameter, as in evorobotpy2's ErDiscrim.
 
-    There it stands anywhere in one half of the room: here in the middle of that half.
+    There the cylinder has a random position in one half of the room: here it is in the middle of
+        it.
     """
     return Place.rectangle(0.40, 0.40, [(0.0, -0.05, 0.0125)])
 
@@ -458,7 +459,7 @@ def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:
 
 
 def _crossings(lines: NDArray) -> NDArray[np.bool_]:
-    """Return which of straight lines [N, 4] cross each other, [N, N]; ends that touch do not."""
+    """Return whether straight lines [N, 4] cross each other, [N, N]; touching ends do not count."""
     along = (lines[:, 2:] - lines[:, :2])[:, None]
 
     def side(points: NDArray) -> NDArray:
@@ -473,7 +474,7 @@ def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the items of a mapping that are fields of a dataclass.
 
     Raises:
-        UserError: if it has anything else, such as a name that is misspelt.
+        UserError: if it has other names, such as a misspelt one.
     """
     names = [one.name for one in fields(kind)]
     for name in content:
@@ -483,7 +484,7 @@ def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _rows(rows: Any) -> Any:
-    """Return rows of numbers as tuples of floats; what is no number is left to be refused."""
+    """Return rows of numbers as tuples of floats; other values are left to a later check."""
     try:
         return tuple(tuple(map(float, row)) for row in rows)
     except (TypeError, ValueError):
@@ -491,7 +492,7 @@ def _rows(rows: Any) -> Any:
 
 
 def strip(line: ArrayLike, width: float = THICKNESS) -> NDArray[np.float64]:
-    """Return the sides [4, 4] of a straight piece x1, y1, x2, y2; what is free is on their left."""
+    """Return the sides [4, 4] of a straight piece x1, y1, x2, y2, with free space on their left."""
     one, other = np.reshape(line, (2, 2))
     along = other - one
     aside = 0.5 * width * np.array([-along[1], along[0]]) / np.linalg.norm(along)

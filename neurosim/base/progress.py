@@ -1,4 +1,4 @@
-"""Progress of anything longer than two seconds, on stderr."""
+"""Progress of computations longer than two seconds, on stderr."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 T = TypeVar("T")
 
-#: Without a terminal, a line now and then: this many seconds apart.
+#: Seconds between two lines of progress without a terminal.
 LINE_EVERY = 10.0
 
 
@@ -35,7 +35,7 @@ class Progress:
             )
 
     def advance(self, amount: float = 1.0, note: str = "") -> None:
-        """Add to what is done; ``note`` is a short figure to show next to it."""
+        """Add to the count of finished items; ``note`` is a short figure to show next to it."""
         self.done += amount
         if self._bar is not None:
             if note and note != self._note:
@@ -62,7 +62,7 @@ class Progress:
             print(message, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
 

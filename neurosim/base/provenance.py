@@ -1,23 +1,23 @@
-"""Where something is from, the virtual lab or which robot: as what was written of it says."""
+"""The origin of artefacts, the virtual lab or a robot, by the JSON of the artefact."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-#: What may stand in a JSON of ours and say where its content is from.
+#: Keys of neurosim's JSON files that give the origin of the content.
 _PARTS = ("robot", "robots", "camera", "source", "simulator", "evolution")
 
 
 def is_virtual(meta: Any) -> bool | None:
-    """Return whether an artefact is from the virtual lab; None if nothing in it says.
+    """Return whether an artefact is from the virtual lab; None if it is unknown.
 
-    A robot of the lab says so itself when it is connected (``virtual`` in what a driver
-    describes), also one that another program keeps running; what is made of its recordings
-    hands that on. If any part of several is virtual, all of it is.
+    A robot of the lab reports this when it is connected (``virtual`` in the driver's description),
+    even if another program runs it. Artefacts made from its recordings inherit the mark. If one of
+    several parts is virtual, the whole is.
 
     Args:
-        meta: what the artefact's JSON says, or a part of it.
+        meta: the artefact's JSON, or a part of it.
     """
     if isinstance(meta, list):
         return _any(is_virtual(part) for part in meta)
@@ -28,7 +28,7 @@ def is_virtual(meta: Any) -> bool | None:
     if meta.get("virtual_lab") is not None or meta.get("kind") == "virtual roof camera":
         return True
     virtual = _any(is_virtual(meta.get(part)) for part in _PARTS)
-    # A recording says so if it was made in the lab by itself.
+    # A recording that was made directly in the lab has this mark.
     return False if virtual is None and "virtual_lab" in meta else virtual
 
 
@@ -38,8 +38,8 @@ def _any(answers: Any) -> bool | None:
 
 
 def robot_kind(robot: Mapping[str, Any]) -> str | None:
-    """Return the kind from a robot's description; None where it did not say.
+    """Return the kind from a robot's description; None if it has none.
 
-    A Khepera used to say it under ``robot``.
+    Older descriptions of a Khepera have it under ``robot``.
     """
     return robot.get("kind") or robot.get("robot")

@@ -1,7 +1,6 @@
 """Random numbers in compiled code: SplitMix64 (Steele, Lea, Flood 2014) of a counter.
 
-A number depends on its seed and its place in the sequence alone, so that any of them can be
-computed alone.
+A number depends only on the seed and its index in the sequence, so that each can be computed alone.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ def bits(state):
 
 @kernel(inline="always")
 def uniform(state):
-    """Return a number between 0 and 1, neither of which it is."""
+    """Return a number above 0 and below 1."""
     return (np.float64(bits(state) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 @kernel(inline="always")
 def normal(one, other):
-    """Return a standard normal number of two uniform ones (Box and Muller 1958)."""
+    """Return a standard normal number from two uniform ones (Box and Muller 1958)."""
     return math.sqrt(-2.0 * math.log(one)) * math.cos(2.0 * math.pi * other)

@@ -1,4 +1,4 @@
-"""Things by name: ours, those of other packages (entry points), and a script's own (one call)."""
+"""Objects by name: neurosim's own, other packages' (entry points), and a script's (one call)."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ PLUGIN = "neurosim_plugin_"
 
 
 class Registry:
-    """The things of one kind that can be named, such as tasks.
+    """The named objects of one kind, such as tasks.
 
-    A name is looked for among those that were registered by a call, then among ours, then among
-    the entry points of installed packages in the group ``neurosim.<plural>``.
+    A name is searched among the registered objects, then among neurosim's own, then among the entry
+    points of installed packages in the group ``neurosim.<plural>``.
 
     Attributes:
-        what: one such thing, for messages.
+        what: the kind in the singular, for messages.
         group: of the entry points.
     """
 
@@ -32,19 +32,19 @@ class Registry:
         """Make a registry.
 
         Args:
-            what: one such thing, for messages.
+            what: the kind in the singular, for messages.
             group: of the entry points.
-            own: name -> ``module:attribute``, imported when it is asked for.
+            own: name -> ``module:attribute``, imported at its first use.
         """
         self.what, self.group = what, group
         self._own = dict(own)
         self._registered: dict[str, Any] = {}
 
     def register(self, name: str, item: Any = None) -> Any:
-        """Add a thing under a name; it then works wherever a name is taken. Also a decorator.
+        """Register an object under a name, which then works everywhere. Also a decorator.
 
         Raises:
-            UserError: if one of ours has the name.
+            UserError: if an object of neurosim has the name.
         """
         if name in self._own:
             raise UserError(f"the name {name!r} is taken by neurosim's own {self.what}")
@@ -59,12 +59,12 @@ class Registry:
         return item
 
     def names(self) -> list[str]:
-        """Return all names, ours first."""
+        """Return all names, neurosim's own first."""
         others = {*self._registered, *self._points()} - set(self._own)
         return [*self._own, *sorted(others)]
 
     def is_own(self, name: str) -> bool:
-        """Return whether the name is of one of ours."""
+        """Return whether the name is one of neurosim's own."""
         return name in self._own
 
     def get(self, name: str, others: Sequence[str] = ()) -> Any:
@@ -72,10 +72,10 @@ class Registry:
 
         Args:
             name: the name.
-            others: names of anything else that could be chosen, for the message.
+            others: names of other possible choices, for the message.
 
         Raises:
-            UserError: if nothing has, or its package cannot be imported.
+            UserError: if the name is unknown, or its package cannot be imported.
         """
         if name in self._registered:
             return self._registered[name]
@@ -98,7 +98,7 @@ class Registry:
         """Call the object of this name with settings as keywords; return it if it is not callable.
 
         Raises:
-            UserError: if there is none, or it does not take the settings.
+            UserError: if the name is unknown, or the object does not accept the settings.
         """
         maker: Callable[..., Any] = self.get(name)
         if not callable(maker) and not settings:

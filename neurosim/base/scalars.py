@@ -1,4 +1,4 @@
-"""Curves of what runs long, for TensorBoard."""
+"""Curves of long computations, for TensorBoard."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from neurosim.base.files import make_folder
 
 
 class Scalars:
-    """A folder of curves, written as they come; without a folder they are not kept.
+    """A folder of curves, written point by point; without a folder they are dropped.
 
     Use it as a context manager.
     """
@@ -20,7 +20,7 @@ class Scalars:
         """Begin.
 
         Args:
-            folder: in which TensorBoard looks; each run adds a file to it.
+            folder: the folder for TensorBoard; each run adds a file to it.
 
         Raises:
             UserError: if tensorboardX is missing, or ``folder`` is a file.
@@ -38,7 +38,7 @@ class Scalars:
         self._writer = SummaryWriter(str(folder), flush_secs=5)
 
     def add(self, name: str, value: float, step: int) -> None:
-        """Add a point to a curve; one that is not finite is left out."""
+        """Add a point to a curve; a value that is not finite is left out."""
         if self._writer is not None and math.isfinite(value):
             self._writer.add_scalar(name, float(value), step)
 

@@ -1,4 +1,4 @@
-"""How many threads PyTorch and compiled kernels work in."""
+"""The number of threads of PyTorch and of compiled kernels."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 
 import numba
 
-#: From so many rows on, sharing them out to several cores pays.
+#: Number of rows from which several cores are faster than one.
 WORTH_SHARING = 500
 
 
 def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: int = 1) -> None:
-    """Fraction ``count`` pieces of work out to the cores that compiled kernels may use.
+    """Distribute ``count`` pieces of work to the cores that compiled kernels may use.
 
     Kernels with a parallel region of their own take twice as long to compile. The threads of such
     regions also stay busy for milliseconds after each region, on cores that others want.
@@ -27,7 +27,7 @@ def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: i
             yet, that happens in the calling thread, where an interruption ends it.
         part: called as ``part(first, last)`` for the pieces from ``first`` to before ``last``.
         count: number of pieces.
-        least: number of pieces that make up for another core's beginning.
+        least: smallest number of pieces for which another core is worth starting.
     """
     parts = min(numba.get_num_threads(), count // least) or 1
     if parts == 1:
@@ -44,21 +44,21 @@ def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: i
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """Return this process's threads, which begin when they are needed."""
+    """Return this process's threads, which start at their first use."""
     return ThreadPoolExecutor(thread_name_prefix="neurosim")
 
 
-# Threads do not live on in a process that is forked.
+# A forked process does not have the threads.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 @contextmanager
 def one_core(wanted: bool = True) -> Iterator[None]:
-    """Keep compiled kernels on one core, if that is wanted: for little work.
+    """Keep compiled kernels on one core if ``wanted``, for little work.
 
-    On a machine that is busy with something else too, sharing out may cost a time slice of the
-    scheduler, more than the whole work.
+    On a machine with other busy programs, a second core may cost a time slice of the scheduler,
+    which is more than the whole work.
     """
     threads = numba.get_num_threads()
     if wanted:
@@ -71,13 +71,13 @@ def one_core(wanted: bool = True) -> Iterator[None]:
 
 @contextmanager
 def one_thread(device: str = "cpu") -> Iterator[None]:
-    """Let PyTorch work in one thread where more do not pay, if it works on the CPU.
+    """Limit PyTorch on the CPU to one thread, where more threads are not faster.
 
-    PyTorch's second thread, between two of its tasks, keeps busy on a core that compiled kernels,
-    or other programs, want. And how it cuts up long sums, and so their last digits, depends on
-    how many threads there are.
+    Between two tasks, PyTorch's second thread keeps a core busy that compiled kernels or other
+    programs could use. Also, the number of threads changes the order of long sums, and so their
+    last digits.
     """
-    import torch  # takes a second, which what only shares out compiled work need not wait
+    import torch  # takes a second, which compiled work alone need not wait for
 
     threads = torch.get_num_threads()
     if torch.device(device).type == "cpu":

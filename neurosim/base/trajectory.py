@@ -8,13 +8,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: The motors are stopped for so long after the last command before a robot is at rest, s.
+#: Time after the last command until a robot is at rest, s; the motors are stopped meanwhile.
 RUN_DOWN = 0.5
 
 
 @runtime_checkable
 class OfTime(Protocol):
-    """A controller whose commands depend on time alone, and that can give them all at once."""
+    """A controller whose commands depend on time alone, so that it can give them all at once."""
 
     def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the commands [P, T, C] of individuals [P, G] at times [T] s."""
@@ -25,13 +25,13 @@ class OfTime(Protocol):
 class Trajectory:
     """Poses, commands and readings of robots; leading axes ``...`` are trials.
 
-    A trajectory has T intervals, in each of which one command holds. In a simulation an interval
-    is a command; of a robot that was filmed it is the time between two frames, so that several
-    intervals may belong to one command.
+    A trajectory has T intervals, in each of which one command holds. In a simulation an interval is
+    a command. For a filmed robot it is the time between two frames, so that several intervals may
+    belong to one command.
 
     Attributes:
         poses: [..., T + 1, 3] x (m), y (m), heading (rad, unwrapped) in the board's frame, before
-            the first interval and after each; None where nobody saw them.
+            the first interval and after each; None if they were not observed.
         commands: [..., T, C] as the controller gave them; the columns of motor commands are left
             and right (% of full speed) and, where a controller chooses it, the duration (s).
         durations: [..., T] of the intervals, s, or one for all.
@@ -41,7 +41,7 @@ class Trajectory:
         segment: [T] the index of the command that each interval belongs to, never decreasing;
             None: each is a command of its own.
         touching: [..., T] bool, whether the robot touches something after each interval; None:
-            nobody knows.
+            unknown.
 
     Raises:
         ValueError: if the shapes do not fit each other.
@@ -95,7 +95,7 @@ class Trajectory:
         active: ArrayLike | None = None,
         readings: ArrayLike | None = None,
     ) -> Trajectory:
-        """Return one driven trajectory, of all poses that were seen.
+        """Return one driven trajectory from all observed poses.
 
         A command during which no pose was seen still is a command: it gets an interval on the
         spot. An interval belongs to the command in which it ends.
@@ -104,8 +104,8 @@ class Trajectory:
             times: [M] of the poses, s, rising.
             poses: [M, 3], finite.
             segment: [M] never decreasing: the index of the command during which each was seen.
-            commands: [K, C] what was sent.
-            active: [K] bool; False for what is no command of the controller.
+            commands: [K, C] as they were sent.
+            active: [K] bool; False for a command that the controller did not give.
             readings: [K, S] when each command was sent, or None.
 
         Raises:
@@ -137,7 +137,7 @@ class Tracked:
     Attributes:
         fitness: the higher the better.
         poses: [K, 3] (m, m, rad) after each of the K steps of the task's trial, as if it had begun
-            exactly at the task's start; NaN where it was not seen.
+            exactly at the task's start; NaN where the robot was not seen.
     """
 
     fitness: float
@@ -146,17 +146,17 @@ class Tracked:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """How a trial runs, as far as simulators need to know.
+    """The parts of a trial that simulators need.
 
     Attributes:
-        step: a controller that sees is asked for a command so often, s.
-        steps: how many times.
-        rest: in the end the motors are stopped for so long, s; 0: the trial ends moving.
-        goals: [N, 3] poses that are to be reached in turn; a controller may get the position of the
-        next one. None: there are none.
-        reach: a goal is reached, and the next one comes, within this distance of it, m.
+        step: time between two commands of a closed-loop controller, s.
+        steps: number of these commands.
+        rest: duration of the stop at the end, s; 0: the trial ends while the robot moves.
+        goals: [N, 3] poses to reach in turn, or None; a controller may get the position of the next
+            one.
+        reach: distance within which a goal counts as reached, and the next one follows, m.
         readings: whether the fitness needs the sensors' readings.
-        contacts: whether it is to be known when the robot touches something.
+        contacts: whether the fitness needs the times at which the robot touches something.
 
     Example:
         >>> ns.Episode(step=0.1, steps=50).steps
@@ -174,18 +174,18 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Samples that were drawn, to be met by every controller alike (common random numbers).
+    """Random samples that are the same for every controller (common random numbers).
 
     Attributes:
-        starts: [R, 3] where the robot stands at first (m, m, rad, board frame).
-        member: [R] which of the simulator's members it moves as, -1 for the mean; None where a
-            simulator has no members.
+        starts: [R, 3] first poses of the robot (m, m, rad, board frame).
+        member: [R] index of the simulator's ensemble member, -1 for the mean; None if a simulator
+            has no members.
         noise: [R, T, Z] numbers for the noise of every step, as the simulator's ``step`` and
-            ``sense`` take them; None where there is no noise, or it comes from ``seeds``.
+            ``sense`` take them; None without noise, or if it comes from ``seeds``.
         seeds: [R] uint64 of a simulator that draws its noise itself, or None.
-        state: [S] of the simulator: the robot is under way, and goes on from this state in every
-            sample, but for the pose and the member, which are those above; the command that led
-            to it is over, and what follows begins again. None: it stands still.
+        state: [S] of the simulator, for a robot that is moving: every sample continues from this
+            state, with the pose and the member above; the previous command has ended. None: the
+            robot stands still.
     """
 
     starts: NDArray[np.float64]

@@ -1,7 +1,7 @@
-"""Compiles what a demo needs later, while it records: by doing all of that once, in small.
+"""Compiles the functions that a demo needs later, while it records: runs all stages once, in small.
 
-A process of its own, ``python -m neurosim.cli._ahead DEMO``. It ends with the process that started
-it, whose end of its standard input is then closed.
+It runs in another process, ``python -m neurosim.cli._ahead DEMO``. It ends with the process that
+started it, because its standard input is then closed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def _run(*words: object) -> None:
 
 
 def _is_whole(folder: Path) -> bool:
-    """Return whether a recording was made to its end and tracked; its poses are written last."""
+    """Return whether a recording is complete and tracked; its poses are written last."""
     return (folder / "poses.csv").exists() and bool(Recording(folder).meta["complete"])
 
 
 def main(out: Path) -> None:
-    """Do the stages of a demo on the first round of its recording, as soon as that is there."""
+    """Run the stages of a demo on the first round of its recording, as soon as it exists."""
     from neurosim.controllers import make_controller, read_controller
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
@@ -66,6 +66,6 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if hasattr(os, "nice"):  # what is waited for comes first
+    if hasattr(os, "nice"):  # first the functions that the demo needs next
         os.nice(5)
     main(Path(sys.argv[1]))

@@ -32,7 +32,7 @@ tensorboard_option = click.option(
     metavar="DIR",
     help="Folder for curves that TensorBoard shows (extra tensorboard).",
 )
-#: What a colour can be called; the tests hold it to what the tracker knows.
+#: Names of colours; a test compares them with the tracker's.
 COLOUR_NAMES = (
     "red, orange, yellow, green, cyan, blue, purple, violet, magenta, pink, #rrggbb or hsv:h,s,v"
 )
@@ -119,7 +119,7 @@ def warn_of(simulator: Any) -> None:
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
     """Print a command's result: JSON for machines, or text for people.
 
-    A dict that the command line was started with, as its ``obj``, gets the result, too.
+    The result is also added to the dict with which the command line was started (``obj``), if any.
     """
     context = click.get_current_context(silent=True)
     kept = None if context is None else context.find_object(dict)
@@ -132,10 +132,10 @@ def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -
 
 
 def warn_unsupported(fraction: float) -> None:
-    """Say on stderr that too much of what a simulator was asked is a guess.
+    """Warn on stderr if too many commands are unlike those in the simulator's data.
 
     Args:
-        fraction: of the time, in commands unlike any that it was made from.
+        fraction: fraction of the time in such commands.
     """
     if fraction > MOST_UNSUPPORTED:
         click.echo(

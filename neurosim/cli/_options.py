@@ -1,8 +1,8 @@
-"""Options made from what settings classes, drivers and functions say of their own parameters.
+"""Options made from the parameters of settings classes, drivers and functions.
 
 A parameter's name, type and default are those of its signature, its help is the first sentence
-that the docstring has of it under ``Args:`` or ``Attributes:``. Nothing is written twice, and what
-a package or a script registers (a robot, a task) has its options on the command line as ours do.
+about it in the docstring, under ``Args:`` or ``Attributes:``. So nothing is written twice, and a
+robot or task that a package or a script registers has its options on the command line, too.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _EMPTY = inspect.Parameter.empty
 
 
 class Choices(Protocol):
-    """Things that can be named, such as a :class:`neurosim.base.registry.Registry`."""
+    """Objects that have names, such as a :class:`neurosim.base.registry.Registry`."""
 
     def names(self) -> list[str]:
         """Return all names."""
         ...
 
     def get(self, name: str) -> Any:
-        """Return the object of this name; raise UserError if nothing has."""
+        """Return the object of this name; raise UserError if the name is unknown."""
         ...
 
 
@@ -57,8 +57,8 @@ class Parameter:
         name: keyword.
         kind: type of the option.
         hint: declared type.
-        default: of the signature, or ``inspect.Parameter.empty``.
-        help: first sentence about it, or nothing.
+        default: value in the signature, or ``inspect.Parameter.empty``.
+        help: first sentence about it, or empty.
     """
 
     name: str
@@ -69,10 +69,10 @@ class Parameter:
 
 
 def parameters(source: Any) -> Sequence[Parameter]:
-    """Return the parameters of a class or function that an option can stand for.
+    """Return the parameters of a class or function that can be options.
 
-    Those of other types (a clock, a generator, another settings class) are left out. Of a settings
-    object they are those of its class, with its values as defaults.
+    Those of other types (a clock, a generator, another settings class) are left out. A settings
+    object has those of its class, with its values as defaults.
     """
     if is_dataclass(source) and not isinstance(source, type):
         made = source
@@ -105,7 +105,7 @@ def _owners(source: Callable[..., Any]) -> list[Any]:
 
 
 def _default(source: Callable[..., Any], name: str, default: Any) -> Any:
-    """Return a default; of a dataclass's field with a factory, what that makes."""
+    """Return a default; for a dataclass field with a factory, the factory's value."""
     declared = getattr(source, "__dataclass_fields__", {}).get(name)
     if declared is not None and callable(getattr(declared, "default_factory", None)):
         return declared.default_factory()
@@ -113,12 +113,12 @@ def _default(source: Callable[..., Any], name: str, default: Any) -> Any:
 
 
 def _kind(annotation: Any, default: Any) -> click.ParamType | None:
-    """Return the type of an option, None where none can stand for it."""
+    """Return the type of an option; None if the type cannot be an option."""
     if annotation is _EMPTY:
         annotation = str if default is None or default is _EMPTY else type(default)
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType):
-        # What can be an option stands for what cannot; a number that may be a word is a word.
+        # Of a union, the type that can be an option counts; a number or a word is a word.
         kinds = [kind for part in parts if (kind := _kind(part, _EMPTY)) is not None]
         if len(kinds) < 2:
             return next(iter(kinds), None)
@@ -155,9 +155,9 @@ _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
 
 
 def documented(source: Callable[..., Any]) -> dict[str, str]:
-    """Return the first sentence that the docstrings have of each parameter."""
+    """Return the first sentence about each parameter in the docstrings."""
     entries: dict[str, str] = {}
-    for title in ("Attributes:", "Args:"):  # what is said of an argument counts first
+    for title in ("Attributes:", "Args:"):  # a text about an argument has precedence
         for owner in _owners(source):
             init = vars(owner).get("__init__") if isinstance(owner, type) else None
             for doc in (owner.__doc__, getattr(init, "__doc__", None)):
@@ -188,38 +188,36 @@ def _sentence(text: str) -> str:
     return f"{first[:1].upper()}{first[1:]}." if first else ""
 
 
-#: What is chosen: the command's parameter -> a name.
+#: The choices: the command's parameter -> a name.
 Chosen = Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Group:
-    """Options that stand for the parameters of one callable.
+    """Options for the parameters of one callable.
 
     Attributes:
-        into: the command's parameter that gets a dict of those that were given.
-        source: the callable, or a settings object, whose values are then the defaults; or
+        into: the command's parameter that gets a dict of the given options.
+        source: the callable; or a settings object, whose values are the defaults; or
             :class:`Choices`, of which an option names one; or, with ``by_choice``, a function from
-            the choice to any of these. As text, ``module:attribute``, it is imported when it is
-            needed.
+            the choice to any of these. Text, ``module:attribute``, is imported when it is needed.
         by_choice: whether ``source`` makes the callable of the choice.
         option: the option that names one, such as ``--task``; None where there is no choice.
-        default: name that is chosen if nobody says otherwise, or a function that says it by the
-        choices before.
+        default: default name, or a function that returns it from the earlier choices.
         help: of the option that names one; the names are added.
-        of: makes of what has the name the callable whose parameters are options, or None.
+        of: returns, for the named object, the callable whose parameters are options; or None.
         only: parameters that are options; None: all that can be.
-        skip: parameters that are no options, or a function that says them by the choice.
+        skip: parameters that are not options, or a function that returns them from the choice.
         optional: parameters without a default that need not be given.
         prefix: before the names of the options.
         names: names of options that differ from their parameters'.
-        units: of parameters in SI that people think of in others, one of
-            :data:`neurosim.cli._types.UNITS`; of a pair one for each.
-        helps: helps in place of the docstring's.
-        kinds: types of options in place of those that the annotations stand for.
-        outside: says by its name whether the choice is a thing outside this program, such as a
-            robot. ``--resume`` takes neither that nor its options from what is resumed: a file, of
-            whomever, does not choose what is opened or driven.
+        units: units for people of parameters in SI, of :data:`neurosim.cli._types.UNITS`; for a
+            pair, one for each.
+        helps: help texts that replace those of the docstring.
+        kinds: types of options that replace those of the annotations.
+        outside: tells by the name whether the choice is outside this program, such as a robot.
+            ``--resume`` does not take such a choice or its options from the interrupted run: a
+            file, which may be from anybody, must not choose which device is opened or driven.
     """
 
     into: str
@@ -249,7 +247,7 @@ class Group:
         return _loaded(self.source)
 
     def default_name(self, chosen: Chosen) -> str:
-        """Return the name that is chosen if nobody says otherwise."""
+        """Return the default name."""
         return self.default(chosen) if callable(self.default) else str(self.default)
 
     def chosen_by(self, chosen: Chosen) -> Any:
@@ -263,7 +261,7 @@ class Group:
         """Return the options, by parameter.
 
         Args:
-            chosen: what is chosen.
+            chosen: the choices.
             taken: options of the command; one of the same name is prefixed with the choice.
         """
         source, made = self.chosen_by(chosen), {}
@@ -282,7 +280,7 @@ class Group:
         default = each.default
         if (units := self.units.get(each.name)) is not None:
             pair = (units,) if isinstance(units, str) else units
-            listed = isinstance(each.kind, Listed)  # of a list the unit is that of each number
+            listed = isinstance(each.kind, Listed)  # the unit of a list is that of each number
             hints = get_args(each.hint) if listed or len(pair) > 1 else (each.hint,)
             quantities = [Real(hint, unit) for hint, unit in zip(hints, pair, strict=not listed)]
             kind = quantities[0] if isinstance(units, str) else click.Tuple(quantities)
@@ -314,7 +312,7 @@ def _loaded(source: Any) -> Any:
 def settings_options(into: str, source: Any, **others: Any) -> Callable[[Callable], Callable]:
     """Return a decorator that makes options of a callable's parameters.
 
-    The command gets those that were given as a dict, to call the callable with.
+    The command gets the given options as a dict, for a call of the callable.
 
     Args:
         into: the command's parameter.
@@ -332,10 +330,10 @@ def choice_options(
     help: str,
     **others: Any,
 ) -> Callable[[Callable], Callable]:
-    """Return a decorator that adds an option that names something, and the options of that.
+    """Return a decorator that adds an option with a name, and the options of the named object.
 
-    Of ``--task`` the command gets ``task``, the name, and ``task_options``, a dict of the task's
-    options that were given. ``--help`` lists those of the task that is named, or of the default.
+    For ``--task`` the command gets ``task``, the name, and ``task_options``, a dict of the given
+    options of the task. ``--help`` lists the options of the named task, or of the default.
 
     Args:
         option: such as ``--task``.
@@ -361,14 +359,14 @@ def _adds(group: Group) -> Callable[[Callable], Callable]:
 class SettingsCommand(click.Command):
     """A command with groups of options: see :func:`settings_options`, :func:`choice_options`.
 
-    Which options there are depends on what is chosen, so the line is read twice: at first with the
-    options of everything that can be chosen.
+    The options depend on the choices, so the line is read twice: first with the options of all
+        choices.
 
-    With ``--resume`` options that are not given are those that what is resumed was begun with, but
-    for things outside this program (see :class:`Group`), which must be named again.
+    With ``--resume``, options that are not given are those of the first start. Objects outside this
+    program (see :class:`Group`) must be named again.
 
     Args:
-        begun: finds, by the command's values, the options that what is resumed was begun with.
+        begun: returns, from the command's values, the options of the first start.
     """
 
     def __init__(
@@ -385,7 +383,7 @@ class SettingsCommand(click.Command):
     # Which options there are
 
     def choices(self) -> dict[str, list[str]]:
-        """Return the names that each option can choose, such as those of ``--task``."""
+        """Return the possible names of each option, such as those of ``--task``."""
         named = [group for group in self._groups if group.option is not None]
         return {str(group.option): group.choices().names() for group in named}
 
@@ -415,7 +413,7 @@ class SettingsCommand(click.Command):
                 yield option
 
     def _everything(self) -> list[click.Parameter]:
-        """Return the parameters with the options of all that can be chosen, one at a time."""
+        """Return the parameters with the options of each possible choice, one choice at a time."""
         every: dict[str, click.Parameter] = {str(each.name): each for each in self.params}
         default: dict[str, str] = {}
         for group in self._groups:
@@ -471,7 +469,7 @@ class SettingsCommand(click.Command):
         return rest
 
     def _look(self, ctx: click.Context, args: list[str], state: _State) -> None:
-        """Find what is chosen, and what --resume goes on with, before there are all options."""
+        """Find the choices, and the options that --resume uses, before all options are known."""
         look = click.Command(self.name, params=self._everything())
         settings = {"ignore_unknown_options": True, "allow_extra_args": True}
         first = look.make_context(
@@ -534,7 +532,7 @@ class SettingsCommand(click.Command):
     # Help
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, those of the choice under headings of their own."""
+        """Write the options, those of the choices under separate headings."""
         params, state = self.get_params(ctx), _state(ctx)
         apart: dict[str | None, str] = {}
         for group in self._groups:
@@ -557,7 +555,7 @@ class SettingsCommand(click.Command):
                 formatter.write_dl(others)
 
     def _others(self, state: _State) -> Iterator[tuple[str, str]]:
-        """Give each name that is not chosen, with the options that it would add."""
+        """Give each other name, with the options that it would add."""
         shown = {flag for each in state.params or () for flag in each.opts}
         for group in self._groups:
             for name in group.choices().names() if group.option is not None else ():
@@ -589,7 +587,7 @@ def _state(ctx: click.Context) -> _State:
 
 
 def given_options() -> dict[str, Any]:
-    """Return the options that were given to the command that runs, to be kept for --resume."""
+    """Return the options given to the running command, to be saved for --resume."""
     return _state(click.get_current_context()).given
 
 
@@ -611,7 +609,7 @@ def _options_or_none(group: Group, chosen: Chosen) -> dict[str, click.Option]:
     try:
         return group.options(chosen)
     except UserError:
-        return {}  # of a package that cannot be imported; said where it is asked for
+        return {}  # of a package that cannot be imported; the error comes when it is used
 
 
 def _is_set(ctx: click.Context, name: str | None) -> bool:

@@ -1,4 +1,4 @@
-"""Runs commands in processes of their own, on this computer or on a Ray cluster."""
+"""Runs each command in a separate process, on this computer or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 from neurosim.base.cluster import Name, ray_cluster
 from neurosim.base.errors import UserError
 
-#: Seconds in which a command that is interrupted writes what it has.
+#: Seconds in which an interrupted command saves its results.
 ENDING = 30.0
 #: Seconds after which, at most, a worker of a cluster notices that it is cancelled.
 WORKER_NOTICES = 2.0
@@ -29,7 +29,7 @@ class Processes:
     """
 
     def __init__(self, count: int | None, workers: Name, plugins: Sequence[Path] = ()):
-        """Prepare them; nothing runs yet.
+        """Prepare the processes; nothing runs yet.
 
         Args:
             count: how many; None: one on this computer, or as many as a cluster has cores.
@@ -67,7 +67,7 @@ class Processes:
         return dict(json.loads(printed))
 
     def end(self) -> None:
-        """Interrupt what runs, and start nothing more."""
+        """Interrupt the running commands, and start no more."""
         with self._lock:
             self._ended, running = True, list(self._running)
         if self._ray is None:

@@ -1,4 +1,4 @@
-"""The options that say which controllers search for which task, and where they are tried."""
+"""The options of task, controller and reality."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
     """Return a decorator that adds ``--reality``, its options, and the camera's.
 
     Args:
-        default: a name in :data:`neurosim.trials.realities.REALITIES`, or a driver's, or what says
-            it by the choices before.
+        default: a name in :data:`neurosim.trials.realities.REALITIES`, or a driver's, or a function
+            that returns it from the earlier choices.
         help: of the option; the names are added.
     """
 
@@ -81,7 +81,7 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
                     f"{help} virtual-*: of the lab. by-hand: a person types the fitness. Others: a "
                     "real robot by its driver."
                 ),
-                skip=("controller", "task", "simulator"),  # which it is given
+                skip=("controller", "task", "simulator"),  # the command gives it
                 outside=_may_be_real,
             ),
         ):
@@ -101,5 +101,5 @@ patience_option = click.option(
 
 
 def ask_person(message: str) -> None:
-    """Ask a person to do something, and return when it is done."""
+    """Ask a person to do something, and wait until it is done."""
     click.prompt(message, default="", show_default=False, prompt_suffix=". ", err=True)

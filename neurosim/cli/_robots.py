@@ -1,4 +1,4 @@
-"""The options that say which robot, and which camera films it."""
+"""The options of the robot and of the camera that films it."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ camera_options = settings_options(
 
 
 def without_camera(options: Any) -> dict[str, Any]:
-    """Return the options of what is resumed without a camera, unless it is the virtual lab's.
+    """Return a resumed run's options without a camera, unless it is the virtual lab's.
 
-    A file, of whomever, does not choose what is opened: a camera's name may be any file or URL.
+    A file, which may be from anybody, must not choose what is opened: a camera's name may be any
+        file or URL.
     """
     options = dict(options) if isinstance(options, dict) else {}
     if options.get("camera") not in ("lab", "none"):

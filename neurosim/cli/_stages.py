@@ -22,7 +22,7 @@ from neurosim.base.files import read_text
 from neurosim.cli._options import SettingsCommand
 from neurosim.cli._types import NEW, Json, Listed, Numbers, Pairs
 
-#: What the output of a command is called where later commands take one.
+#: The kind of each command's output, as later commands name their inputs.
 MAKES = {
     "lab photographs": "photographs",
     "record": "recording",
@@ -34,7 +34,7 @@ MAKES = {
     "run": "trial",
     "back-to-reality": "alternation",
 }
-#: Arguments that take several of these, or are called otherwise.
+#: Arguments that take several outputs, or have another name.
 TAKES = {
     "recordings": ("recording",),
     "place": ("simulator",),
@@ -44,9 +44,9 @@ TAKES = {
 #: Keys of the file that are not stages, and keys of a stage that are not options.
 OF_FILE = ("seed", "sweep", "summary")
 COMMAND = "command"
-#: Options that the pipeline gives itself.
+#: Options that the pipeline sets itself.
 OWN = ("resume", "json", "help")
-#: A sweep has no more combinations.
+#: Largest number of combinations of a sweep.
 MOST_POINTS = 10_000
 
 
@@ -55,9 +55,9 @@ class Made:
     """The output of a stage.
 
     Attributes:
-        path: file or folder; None where the stage only prints.
+        path: file or folder; None if the stage only prints.
         kind: of :data:`MAKES`.
-        swept: keys of the sweep that it depends on.
+        swept: keys of the sweep on which it depends.
         sha256: of the output when the stage ended.
     """
 
@@ -73,7 +73,7 @@ class Line:
 
     Attributes:
         words: of the command, without the command itself.
-        inputs: parameter -> files and folders that it reads.
+        inputs: parameter -> its files and folders.
         stages: names of the earlier stages that made some of them.
     """
 
@@ -91,7 +91,7 @@ class Stage:
         name: of the table, and of the output.
         words: the command, such as ``("lab", "photographs")``.
         command: its definition.
-        options: its keys and values; ``seed`` among them where the file has one.
+        options: its keys and values, with the ``seed`` of the file, if any.
         swept: keys of the sweep that set an option of it.
     """
 
@@ -137,7 +137,7 @@ class Stage:
         Args:
             made: the outputs of the stages before it, by their names.
             out: its own output.
-            folder: for files that it writes in addition.
+            folder: folder of additional files.
 
         Raises:
             FileError: naming the key that is wrong.
@@ -173,7 +173,7 @@ class Stage:
         for key in self.options.keys() - {name for each in params for name in keys_of(each)}:
             if key in OWN:
                 raise self.wrong("is set by the pipeline; leave it out", key)
-            options.append(f"--{key}={self.options[key]}")  # which the command says is unknown
+            options.append(f"--{key}={self.options[key]}")  # the command reports that it is unknown
         return Line(arguments + options, inputs, list(dict.fromkeys(stages)))
 
     def check(self, line: Line) -> None:
@@ -205,7 +205,7 @@ class Stage:
             raise self.wrong(str(error)) from None
 
     def _params(self) -> list[click.Parameter]:
-        """Return the parameters of the command, with those of the choice."""
+        """Return the parameters of the command, with those of its choices."""
         choosers = self.command.choices() if isinstance(self.command, SettingsCommand) else ()
         chosen = [
             f"{flag}={self.options[flag[2:]]}" for flag in choosers if flag[2:] in self.options
@@ -233,7 +233,7 @@ class Stage:
         inputs: dict[str, list[Path]],
         stages: list[str],
     ) -> Any:
-        """Return paths with those of earlier stages in place of the stages' names."""
+        """Return paths, in which names of earlier stages are replaced by their outputs."""
         several = isinstance(value, list)
         paths = []
         for text in value if several else [value]:
@@ -306,7 +306,7 @@ def _read(command: click.Command, words: tuple[str, ...]) -> None:
 
 @cache
 def _params_of(command: click.Command, chosen: tuple[str, ...]) -> list[click.Parameter]:
-    """Return the parameters of a command, but for those that the pipeline gives itself."""
+    """Return the parameters of a command, without those that the pipeline sets itself."""
     context = command.make_context(str(command.name), list(chosen), resilient_parsing=True)
     return [each for each in command.get_params(context) if key_of(each) not in OWN]
 
@@ -360,7 +360,7 @@ class Experiment:
     summary: list[str] = field(default_factory=list)
 
     def points(self) -> list[dict[str, Any]]:
-        """Return the combinations of the swept values; one, of none, without a sweep."""
+        """Return the combinations of the swept values; without a sweep, a single empty one."""
         values = itertools.product(*self.sweep.values())
         return [dict(zip(self.sweep, each, strict=True)) for each in values]
 
@@ -378,7 +378,7 @@ class Experiment:
         return stages
 
 
-#: Stands for the seed of a sweep.
+#: Name of a sweep's seed.
 SWEPT = object()
 
 
@@ -403,7 +403,7 @@ def experiment_of(file: Path, tables: Mapping[str, Any], commands: click.Group) 
         commands: the group of all commands.
 
     Raises:
-        FileError: naming table and key of the first thing that is wrong.
+        FileError: naming table and key of the first mistake.
     """
     tables = dict(tables)
     sweep = _sweep(file, tables.pop("sweep", {}))

@@ -16,28 +16,28 @@ from neurosim.base.files import check_name
 
 
 class _Path(click.Path):
-    """A path whose name can be written down: UTF-8."""
+    """A path whose name is valid UTF-8."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         check_name(value)
         return super().convert(value, param, ctx)
 
 
-#: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
+#: A path as a pathlib.Path; the reader reports a missing file.
 PATH = _Path(path_type=Path)
-#: A path that is written in addition to a command's output.
+#: The path of an output in addition to the main one.
 NEW = _Path(path_type=Path)
 
 
 class _Named(click.ParamType):
-    """A type that is shown by its own name, in its own letters."""
+    """A type whose name is shown unchanged."""
 
     def get_metavar(self, param: Any, ctx: Any = None) -> str:
         """Return the name."""
         return self.name
 
 
-#: Units of options whose parameters are in SI: what makes SI of a number, and the way back.
+#: Units of options whose parameters are in SI: conversion to SI, and back.
 UNITS: dict[str, tuple[Callable[[float], float], Callable[[float], float]]] = {
     "": (lambda value: value, lambda value: value),
     "mm": (lambda value: value / 1000, lambda value: value * 1000),
@@ -47,16 +47,16 @@ UNITS: dict[str, tuple[Callable[[float], float], Callable[[float], float]]] = {
 }
 
 
-#: The range of a number of which nobody says one, such as of another package's task.
+#: The range of a number without a declared one, such as in another package's task.
 UNDECLARED = Meta(ge=-(10**12), le=10**12)
 
 
 class Real(click.FloatRange):
-    """A finite number in a range, in SI or in a unit for people; it is handed on in SI.
+    """A finite number in a range, given in SI or in a unit for people, and converted to SI.
 
     Args:
         hint: its declared type, such as :data:`neurosim.base.declared.Metres`.
-        unit: in which people give it, of :data:`UNITS`.
+        unit: unit for people, of :data:`UNITS`.
     """
 
     def __init__(self, hint: Any, unit: str = ""):
@@ -69,7 +69,7 @@ class Real(click.FloatRange):
         return self.unit or None
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number in SI; what is a number already is in SI."""
+        """Return the number in SI; a value that is a number already is in SI."""
         typed = isinstance(value, str)
         number = super().convert(value if typed else self._from_si(value), param, ctx)
         if not math.isfinite(number):
@@ -117,7 +117,7 @@ def ranged(hint: Any) -> Whole | Real:
 
 
 def range_of(kind: click.ParamType) -> str:
-    """Return the ranges of several numbers, as click shows that of one; or nothing."""
+    """Return the ranges of several numbers in click's form for one number; or nothing."""
     if isinstance(kind, Listed):
         kind = click.Tuple([kind.kind])
     parts = kind.types if isinstance(kind, click.Tuple) else ()
@@ -140,11 +140,11 @@ POSE = click.Tuple([Real(Coordinate, "cm"), Real(Coordinate, "cm"), Real(Angle, 
 
 
 class Numbers(_Named):
-    """Finite numbers with something between them, as many as its name has parts.
+    """Finite numbers with a separator, as many as the type's name has parts.
 
     Args:
         name: such as ``U,V`` or ``WIDTHxHEIGHT``.
-        between: what stands between them.
+        between: the separator.
         hint: declared type of each.
         example: for messages.
     """
@@ -201,12 +201,12 @@ class Listed(_Named):
 
 
 class Pairs(_Named):
-    """Names, each with a word that it stands for: ``x=pos_x,y=pos_y``; a name alone is itself.
+    """Names with a word each: ``x=pos_x,y=pos_y``; a name alone is its own word.
 
     Args:
         name: such as ``NAME=COLUMN,...``.
         example: for messages.
-        alone: whether a name may stand alone.
+        alone: whether a name may have no word.
     """
 
     def __init__(self, name: str, example: str, alone: bool = False):

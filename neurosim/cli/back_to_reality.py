@@ -37,7 +37,7 @@ from neurosim.cli._types import PATH
 
 
 class _Named:
-    """The settings by name, for ``--settings``."""
+    """Named settings, for ``--settings``."""
 
     def names(self) -> list[str]:
         """Return the names."""
@@ -54,7 +54,7 @@ NAMED = _Named()
 
 
 def _settings(chosen: Chosen) -> Any:
-    """Return the settings that are named; their values are the options' defaults."""
+    """Return the named settings; their values are the options' defaults."""
     return NAMED.get(chosen["settings"])
 
 
@@ -85,7 +85,7 @@ def _settings(chosen: Chosen) -> Any:
     "neurosim.cli.back_to_reality:NAMED",
     default="better",
     help="The settings: the paper's, or our own choices.",
-    of=lambda settings: None,  # they are options below
+    of=lambda settings: None,  # options are made of these below
 )
 @settings_options("how", _settings, by_choice=True)
 @settings_options(

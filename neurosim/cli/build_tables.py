@@ -65,7 +65,7 @@ def build_tables(
     warn_of(simulator)
 
 
-#: Of what says how large the robot is and how fast: its words, and the option that gives it.
+#: The robot's size and speed: words for a message, and the option that gives each value.
 _BODY = {
     "radius": ("radius {:.1f} mm", "--radius"),
     "wheel_base": ("{:.1f} mm between its wheels", "--wheel-base"),
@@ -74,7 +74,7 @@ _BODY = {
 
 
 def _body(body: dict[str, Any]) -> str:
-    """Return how large and fast the robot is, and a question where that was guessed."""
+    """Return a sentence on the robot's size and speed, and a question if they were guessed."""
     parts = [
         f"{words.format(1000 * body[name])} ({body['from'][name]})"
         for name, (words, _) in _BODY.items()

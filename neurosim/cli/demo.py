@@ -59,9 +59,9 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
 
 @contextmanager
 def _compiling(out: Path) -> Iterator[Callable[[], None]]:
-    """Compile what evolution needs in another process, if that was not done yet.
+    """Compile the functions of evolution in another process, if that was not done yet.
 
-    Give what waits for it.
+    Give a function that waits for it.
     """
     if compiled_ahead().exists():
         yield lambda: None
@@ -71,7 +71,7 @@ def _compiling(out: Path) -> Iterator[Callable[[], None]]:
         "process; the result is kept.\n",
         err=True,
     )
-    # It ends when this end of its input is closed, whatever becomes of this process.
+    # It ends when its input is closed, however this process ends.
     process = subprocess.Popen(
         [sys.executable, "-m", "neurosim.cli._ahead", str(out.absolute())],
         stdin=subprocess.PIPE,
@@ -92,7 +92,7 @@ def _compiling(out: Path) -> Iterator[Callable[[], None]]:
 
 
 def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
-    """Give the commands that are still to be run, each when the ones before it are done."""
+    """Give the commands that must still run, each after the ones before it are done."""
     from neurosim.recording.rounds import Rounds, is_whole
 
     photographs, calibration = out / "photographs", out / "calibration.json"
@@ -122,7 +122,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     trials = {out / "trial": [], out / "replanned": ["--replan"]}
     for trial, how in trials.items():
         if not (trial / "trial.json").exists():
-            # A trial that was interrupted is no trial; it is kept, out of the way.
+            # An interrupted trial does not count; it is renamed and kept.
             if trial.exists():
                 trial.rename(_free(out, f"interrupted-{trial.name}"))
             yield ["run", controller, *how, "--calibration", calibration, "-o", trial, *seeded]
@@ -130,7 +130,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
 
 
 def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
-    """Return the options of an interrupted demo; write it down where it begins."""
+    """Return the options of an interrupted demo; at the beginning, save them."""
     path, now = out / "demo.json", {"commands": commands, "seed": seed}
     if not path.exists():
         if not is_empty(out):

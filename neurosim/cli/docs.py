@@ -16,7 +16,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import emit, json_option, page_options
 
-#: The folder that neurosim was cloned into.
+#: The folder of the clone of neurosim.
 CLONE = Path(neurosim.__file__).parents[1]
 
 

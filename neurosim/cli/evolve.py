@@ -46,14 +46,14 @@ from neurosim.cli._types import PATH, ranged
 
 
 def _task(chosen: Chosen) -> Any:
-    """Return the task that is chosen, with the settings of its file or its defaults."""
+    """Return the chosen task, with the settings of its file or its defaults."""
     from neurosim.tasks.files import FILES_AND_TASKS
 
     task = FILES_AND_TASKS.get(chosen["task"])
     try:
         return task() if isinstance(task, type) else task
     except TypeError:
-        return None  # one that has no defaults
+        return None  # a task without defaults
 
 
 def _default_controller(chosen: Chosen) -> str:
@@ -68,7 +68,7 @@ def _is_open_loop(chosen: Chosen) -> bool:
 
 
 def _defaults(chosen: Chosen) -> Any:
-    """Return the settings that an evolution has if nobody says otherwise."""
+    """Return the default settings of an evolution."""
     from neurosim.controllers import Controller, FixedPlan
     from neurosim.loop.settings import default_settings
 
@@ -83,7 +83,7 @@ def _genetic(chosen: Chosen) -> Any:
 
 
 def _not_settings(chosen: Chosen) -> Sequence[str]:
-    """Return the settings of an evolution that say nothing here, or that other options say."""
+    """Return the settings of an evolution that have no effect here, or that other options set."""
     task = _task(chosen)
     scattered = task is not None and task.trial_starts == 1
     return (
@@ -101,7 +101,7 @@ def changed(
     """Return a simulator with other noise.
 
     Args:
-        simulator: one that has noise of several kinds.
+        simulator: a simulator with several kinds of noise.
         noise: Noise in place of the simulator's own: none; uniform, 5 % of the range; or as wide as
             the samples' own.
     """
@@ -130,7 +130,7 @@ def changed(
     "neurosim.evolution.optimisers:OPTIMISERS",
     default="ga",
     help="The optimiser; ga is the genetic algorithm of the controller's paper.",
-    of=lambda optimiser: None,  # all of them are given the settings below
+    of=lambda optimiser: None,  # all of them get the settings below
 )
 @settings_options(
     "evolution",

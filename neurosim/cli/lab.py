@@ -47,7 +47,7 @@ def _place_options(default: str | None, start: str) -> Callable[[Any], Any]:
 
     Args:
         default: the usual place; None: the board.
-        start: words for where the robot stands in it.
+        start: words for the robot's default start.
     """
     place = click.option(
         "--place",
@@ -243,7 +243,7 @@ def ros(board: dict[str, Any], port: int, seconds: float | None, as_json: bool) 
 
 
 def _stay(rig: Any, seconds: float | None) -> None:
-    """Return when time is up, the line is gone, or with Ctrl-C."""
+    """Return at the end of the time, when the line is lost, or at Ctrl-C."""
     end = time.monotonic() + seconds if seconds is not None else float("inf")
     try:
         while time.monotonic() < end and rig.alive:

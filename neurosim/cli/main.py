@@ -1,4 +1,4 @@
-"""The ``neurosim`` command and how it ends: 0 on success only, errors in one sentence."""
+"""The ``neurosim`` command and its exit: code 0 on success only, errors in one sentence."""
 
 from __future__ import annotations
 
@@ -81,20 +81,20 @@ def cli(plugins: tuple[Path, ...]) -> None:
 
 
 def run_plugin(path: Path) -> None:
-    """Run a Python file for what it registers, as ``import`` does.
+    """Run a Python file, which registers objects, as ``import`` does.
 
     Raises:
-        FileError: if it is not there or does not run to its end, with the line of the error.
+        FileError: if it is missing or raises an error, with the line of the error.
     """
     if not path.is_file():
         raise FileError(path, "no such file; --plugin takes a Python file")
-    # Its name is no other module's: a file may be called random.py.
+    # Its name must not be another module's: a file may be called random.py.
     spec = importlib.util.spec_from_file_location(f"{PLUGIN}{path.stem}", path)
     if spec is None or spec.loader is None:
         raise FileError(path, "is not a Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    sys.path.append(str(path.resolve().parent))  # what it imports may stand next to it
+    sys.path.append(str(path.resolve().parent))  # it may import files next to it
     try:
         spec.loader.exec_module(module)
     except UserError as error:
@@ -107,7 +107,7 @@ def run_plugin(path: Path) -> None:
 
 
 def _line_of(error: Exception, path: Path) -> int | None:
-    """Return the last line of a file that an error came through."""
+    """Return the last line of a file in an error's traceback."""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
     return lines[-1] if lines else None
@@ -144,17 +144,17 @@ for command in (
 
 def main() -> None:
     """Run the command line; the only place where errors become exit codes."""
-    # OpenCV's own complaints stand next to the one sentence and say less.
+    # OpenCV's own messages would appear next to the one sentence and say less.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # What NumPy says of a division or an overflow in here is for programmers; a number that makes
-    # no sense is refused in a sentence where it is used.
+    # NumPy's warnings of divisions and overflows are for programmers; impossible numbers are errors
+    # where they are used.
     ours = r"(neurosim|tracking|numpy)\b"
     warnings.filterwarnings("ignore", category=RuntimeWarning, module=ours)
     try:
         # A closed terminal or a kill must stop the motors as Ctrl-C does.
         answer_signals()
-        code = cli.main(standalone_mode=False)  # that of a command that ends with exit()
+        code = cli.main(standalone_mode=False)  # of a command that ends with exit()
         if asked_to_end() and not code:  # as the last line was written
             _interrupted()
         ignore_signals()
@@ -174,18 +174,18 @@ def main() -> None:
         click.echo(f"neurosim: {error}", err=True)
         sys.exit(exit_code() if asked_to_end() else 1)
     except BrokenPipeError:
-        # The reader of a pipe went away (head, less): not worth a word.
+        # The reader of a pipe has ended (head, less): no message is needed.
         sys.stderr.close()
         sys.exit(1)
     except OSError as error:
-        # Disk full, no permission: the user's to put right, and the file is named.
+        # Disk full, no permission: the user can correct it, and the message names the file.
         where = f": {error.filename}" if error.filename else ""
         click.echo(f"neurosim: {error.strerror or error}{where}", err=True)
         sys.exit(1)
     except Exception as error:
-        if asked_to_end():  # it came out of a compiler as another error
+        if asked_to_end():  # a compiler wrapped it in another error
             _interrupted()
-        if not str(error).startswith("Symlink loop"):  # as Path.resolve says it
+        if not str(error).startswith("Symlink loop"):  # the error of Path.resolve
             raise
         click.echo(f"neurosim: a link leads to itself: {str(error).split(' from ')[-1]}", err=True)
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""``neurosim new``: a folder with a part of one's own, to be changed."""
+"""``neurosim new``: a folder with a robot, task, simulator or controller to be changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from neurosim.cli._common import emit, json_option
 from neurosim.cli._types import PATH
 
-#: What works at once, of each kind; see the templates.
+#: For each kind, a command that works at once; see the templates.
 _NEXT = {
     "robot": "neurosim --plugin {folder}/driver.py check-robot --robot {name}",
     "task": "neurosim --plugin {folder}/task.py evolve SIMULATOR --task {name} -o controller",

@@ -90,7 +90,7 @@ def pipeline(
         experiment = experiment_of(file, tables, commands)
         make_folder(folder)
         with locked(folder, "used"), contextlib.ExitStack() as stack:
-            # The stages' own words are for people.
+            # The output of the stages is for people.
             stack.enter_context(contextlib.redirect_stdout(sys.stderr if as_json else sys.stdout))
             processes = None
             if workers != "local" or (at_once or 1) > 1:
@@ -128,7 +128,7 @@ class _Run:
     processes: Processes | None = None
     log: JsonLines = field(init=False)
     _digests: dict[Path, str] = field(default_factory=dict)
-    #: Held while a stage is done: combinations share what does not depend on their values.
+    #: Locks of running stages: combinations share the stages that do not depend on their values.
     _busy: dict[tuple[Path, str], threading.Lock] = field(default_factory=dict)
     _writing: threading.Lock = field(default_factory=threading.Lock)
 
@@ -177,7 +177,7 @@ class _Run:
     def _folder_of(
         self, stage: Stage, made: Mapping[str, Made], point: Mapping[str, Any]
     ) -> tuple[Path, frozenset[str]]:
-        """Return the folder of a stage's output and the swept keys that it depends on."""
+        """Return the folder of a stage's output and the swept keys on which it depends."""
         line = stage.line(made, Path(), Path())
         swept = stage.swept.union(*(made[name].swept for name in line.stages))
         parts = [f"{key}={_word(point[key])}" for key in point if key in swept]
@@ -189,7 +189,7 @@ class _Run:
     def _stage(
         self, stage: Stage, made: dict[str, Made], place: tuple[Path, frozenset[str]]
     ) -> tuple[dict[str, Any], bool]:
-        """Do a stage, unless it was done; return its row, and whether it was done now."""
+        """Run a stage, unless it was done before; return its row, and whether it ran now."""
         folder, swept = place
         name = stage.output()
         line = stage.line(made, None if name is None else folder / name, folder)
@@ -218,7 +218,7 @@ class _Run:
             key: [{"path": str(path), "sha256": self._digest(path)} for path in paths]
             for key, paths in line.inputs.items()
         }
-        if stage.in_place:  # its input is not now what it was before
+        if stage.in_place:  # its input has changed
             for each in inputs["recording"]:
                 kept = [one.sha256 for one in made.values() if str(one.path) == each["path"]]
                 each["sha256"] = kept[-1] or each["sha256"] if kept else each["sha256"]
@@ -246,7 +246,7 @@ class _Run:
         folder: Path,
         about: dict[str, Any],
     ) -> dict[str, Any]:
-        """Run a stage's command, and keep a row of it."""
+        """Run a stage's command, and save a row about it."""
         name, resume = stage.output(), False
         out = line.inputs["recording"][0] if stage.in_place else None
         if name is not None:
@@ -295,7 +295,7 @@ class _Run:
         return row
 
     def _begun(self, stage: Stage, key: str) -> Path | None:
-        """Return the output of this very stage that was interrupted and can be continued."""
+        """Return the interrupted output of the same stage, which can be continued."""
         if stage.resumes:
             for row in reversed(self.log.rows):
                 if row["key"] == key and row["out"] is not None:
@@ -306,7 +306,7 @@ class _Run:
         return None
 
     def _digest(self, path: Path) -> str:
-        """Return the SHA-256 of a file, or of the names and sums of a folder's files."""
+        """Return the SHA-256 of a file, or of the names and hashes of a folder's files."""
         if path not in self._digests:
             parts = [path] if path.is_file() else sorted(path.rglob("*"))
             sums = [
@@ -319,7 +319,7 @@ class _Run:
 
 
 def _is_recorded(out: Path) -> bool:
-    """Return whether an output is a recording that was made to its end."""
+    """Return whether an output is a complete recording."""
     from neurosim.recording.rounds import parts_of
     from tracking.datasets.recordings import Recording
 
@@ -332,7 +332,7 @@ def _is_recorded(out: Path) -> bool:
 
 
 def _free(folder: Path, name: str) -> Path:
-    """Return a path in a folder that nothing is at; a number is added where something is."""
+    """Return a free path in a folder; if the name exists, a number is added."""
     path, number = folder / name, 1
     while not (is_empty(path) and not path.is_file()) or Checkpoint(path, "").begun:
         number += 1
@@ -341,7 +341,7 @@ def _free(folder: Path, name: str) -> Path:
 
 
 def _shown(path: Path) -> Path:
-    """Return a path as short as it can be named from the working folder."""
+    """Return the shortest name of a path from the working folder."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
@@ -350,7 +350,7 @@ def _word(value: Any) -> str:
 
 
 def _row(point: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the swept values of a combination, and the numbers that its stages gave."""
+    """Return the swept values of a combination, and the numbers in its results."""
     row = {key: _word(value) for key, value in point["sweep"].items()}
     for name, stage in point["stages"].items():
         row.update(_numbers(f"{name}:", stage["result"]))
@@ -368,7 +368,7 @@ def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
 def _in_words(
     folder: Path, summary: Path | None, rows: list[dict[str, Any]], experiment: Experiment
 ) -> str:
-    """Return the table of a sweep, for people."""
+    """Return the table of a sweep as text."""
     names = experiment.summary or _differing(rows, list(experiment.sweep))[:MOST_SHOWN]
     if not names and summary is None:
         return f"{folder}: all stages are done."
@@ -384,8 +384,7 @@ def _in_words(
 
 
 def _differing(rows: list[dict[str, Any]], swept: list[str]) -> list[str]:
-    """Return the results that are not the same in all rows; the time of a stage is not a
-    setting."""
+    """Return the results that differ between rows, without the stages' times."""
     names = dict.fromkeys(name for row in rows for name in row)
     return [
         name

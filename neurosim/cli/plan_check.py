@@ -1,4 +1,4 @@
-"""``neurosim plan-check``: what to expect of a plan before the robot moves."""
+"""``neurosim plan-check``: a prediction for a plan before the robot moves."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
             options = without_camera(read_json(path, "neurosim-recording", 1).get("options"))
             options.pop("calibration", None)
             if (kept := path.with_name("calibration.json")).exists():
-                options["calibration"] = str(kept)  # whatever became of the one that was given
+                options["calibration"] = str(kept)  # the original file may be gone
             return options
     return {}
 
@@ -194,7 +194,7 @@ def record(
         )
         return
     saved = None if controller is None else read_controller(controller)
-    # Each session of a resumed recording meets other noise, as it would on a real robot.
+    # Each session of a resumed recording has new noise, as on a real robot.
     session = _sessions(out) if resume else 0
     with opened(seed + 1000 * session, saved and saved.start) as (rig, on_seen):
         drives: Any = hand or commands
@@ -221,12 +221,12 @@ def record(
         _words(result) + _next(out, recording.is_tracked, calibration),
     )
     if (out / "sightings.csv").exists() and not recording.is_tracked:
-        # It was tracked, and has no poses: why was said on stderr.
+        # It was tracked, and has no poses: stderr has the reason.
         click.get_current_context().exit(1)
 
 
 def _check_who_drives(**drivers: bool) -> None:
-    """Refuse options that do not go with who drives."""
+    """Raise an error for options that do not fit the choice of the driver."""
     from neurosim.base.errors import UserError
 
     chosen = [name for name, is_chosen in drivers.items() if is_chosen]
@@ -245,7 +245,7 @@ def _check_who_drives(**drivers: bool) -> None:
 
 
 def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str, Any]:
-    """Return a summary of a recording; without a number of commands, those that were sent count."""
+    """Return a summary of a recording; without a number of commands, the sent ones count."""
     from tracking.markers.palette import least_confident
 
     lines = [part.commands() for part in made]
@@ -287,7 +287,7 @@ def _next(out: Path, tracked: bool, calibration: Path | None) -> str:
 def _page(
     wanted: bool, camera: Any, settings: Any, calibration: Path | None, hand: Hand | None = None
 ) -> Iterator[Callable[[Any], None] | None]:
-    """Serve a page with the camera's picture during a recording; give what to show it with.
+    """Serve a page with the camera's picture during a recording; give its viewer.
 
     With a hand, the robot is driven there.
     """

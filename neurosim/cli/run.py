@@ -121,7 +121,7 @@ def run(
             rig,
             track=track,
             calibration=calibration,
-            # A plan may lead near the edge; it must not lead over it.
+            # A plan may lead near the edge, but not over it.
             guard=Guard(at_line, margin=0.05, **guard),
             settings={"markers": marked, **settings},
             replan=again,
@@ -146,13 +146,13 @@ def run(
 def _replanning(
     saved: Any, wanted: bool | None, simulator: Path | None, settings: dict[str, Any]
 ) -> Any:
-    """Return in which simulator a plan is replanned, and how; None: it is not."""
+    """Return the simulator and the settings of replanning; None: no replanning."""
     from neurosim.loop.replan import ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
 
     if wanted is None:
-        # Where the options say how, or the task asks for it.
+        # If the options have settings of it, or the task needs it.
         asked = simulator is not None or bool(settings)
         wanted = asked or (bool(saved.commands) and make_task(saved.task).replanned)
     if not wanted:
@@ -172,7 +172,8 @@ def _simulator(saved: Any) -> Path | None:
     """Return the folder of the simulator in which a controller was evolved; None: unknown."""
     from neurosim.base.files import sha256
 
-    # Only the very simulator that the controller names: a path of somebody else's is no proof.
+    # Only the simulator with the controller's checksum: a path from another computer proves
+    # nothing.
     file = Path(str(saved.simulator.get("path", ""))) / "simulator.json"
     if not file.is_file() or sha256(file) != saved.simulator.get("sha256"):
         return None
@@ -191,7 +192,7 @@ def _place(saved: Any, robot: str) -> Any:
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
-    """Return the result in words."""
+    """Return the result as text."""
     done = "completed" if report["actual"]["completes"] else "did not complete"
     predicted = report["predicted"].get("fitness")
     expected = "" if predicted is None else f", predicted {predicted:.4g}"

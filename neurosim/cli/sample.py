@@ -140,7 +140,7 @@ def sample(
 
 
 def _place(rig: Rig, kinds: tuple[str, ...], seed: int) -> Callable[[str], None]:
-    """Return a function that has the robot placed: by the lab, or by a person."""
+    """Return a function by which the lab, or a person, places the robot."""
     import numpy as np
 
     from neurosim.lab import sampling_places

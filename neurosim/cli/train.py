@@ -1,4 +1,4 @@
-"""``neurosim train`` and ``neurosim evaluate``: dataset -> simulator, and how good it is."""
+"""``neurosim train`` and ``neurosim evaluate``: dataset -> simulator, and its errors."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The protocol of controllers: genes <-> controller, and what it does at each step.
+"""The protocol of controllers: genes <-> controller, and its command at each step.
 
-A controller here is a family: which inputs it has, which commands it gives, and how many genes say
-all the rest. An individual is a row of genes. A batch of B individuals acts at once.
+A controller here is a family: its inputs, the columns of its commands, and the number of its genes,
+which determine the rest. An individual is a row of genes. A batch of B individuals acts at once.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class Controller(Checked):
         inputs: its observations, by name: readings of sensors as the simulator and the robot name
             them, or :data:`POSE_INPUTS`, :data:`GOAL_INPUTS`, :data:`POLAR_INPUTS`,
             :data:`TIME_INPUTS`.
-        outputs: columns of the commands that it gives, without a duration: a controller that sees
-            is asked again after every step of the trial.
-        genes: how many an individual has.
-        memory: how many numbers it carries from step to step.
-        open_loop: whether all its commands are known beforehand, see :meth:`commands`.
+        outputs: columns of its commands, without a duration: a closed-loop controller gives a
+            command at every step of the trial.
+        genes: number of genes of an individual.
+        memory: number of values that it keeps from step to step.
+        open_loop: whether all its commands are known in advance, see :meth:`commands`.
         unit: of the commands.
-        gene_range: where searches that need bounds look for each gene.
+        gene_range: bounds of each gene, for searches that need bounds.
 
     Example:
         >>> @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Controller(Checked):
         Args:
             genes: [B, genes] of as many individuals.
             observation: [B, len(inputs)].
-            memory: [B, memory] as :meth:`start` or the step before returned it.
+            memory: [B, memory] from :meth:`start` or the previous step.
         """
         raise unwritten(self, "act")
 
@@ -89,7 +89,7 @@ class Controller(Checked):
 
         Args:
             genes: [P, genes].
-            rest: the motors are stopped for so long at the end, s; 0: not at all.
+            rest: duration of a stop at the end, s; 0: no stop.
 
         Returns:
             Commands [P, T, 3] (left %, right %, duration s) and active [P, T] bool; a command
@@ -98,7 +98,7 @@ class Controller(Checked):
         raise unwritten(self, "commands")
 
     def hand_tuned(self) -> NDArray | None:
-        """Return genes [genes] that a person tuned, to start from; None: there are none."""
+        """Return hand-tuned genes [genes] as a start; None: there are none."""
         return None
 
     def named(self, genes: NDArray) -> dict[str, Any] | None:
@@ -114,14 +114,14 @@ class Controller(Checked):
         raise UserError(f"the genes of a {self.kind} have no names; give them as genes")
 
     def check(self, genes: NDArray) -> None:
-        """Refuse an individual [genes] that is a mistake where a person writes it.
+        """Raise an error for an individual [genes] that is a mistake if a person writes it.
 
         Raises:
-            UserError: saying why.
+            UserError: with the reason.
         """
 
     def arrays(self) -> NetworkArrays | None:
-        """Return the compiled form; None: this kind has none."""
+        """Return the compiled form; None if this kind has none."""
         return None
 
     def settings(self) -> dict[str, Any]:
@@ -130,16 +130,16 @@ class Controller(Checked):
 
 
 def check_inputs(controller: Controller, readings: Sequence[str], goals: bool, where: str) -> None:
-    """Refuse a controller that needs what is not there.
+    """Raise an error for a controller that needs missing readings or goals.
 
     Args:
-        controller: any.
-        readings: names of the sensors that there are.
+        controller: any controller.
+        readings: names of the available sensors.
         goals: whether the task gives goals.
         where: the simulator or robot, for the message.
 
     Raises:
-        UserError: naming what is missing.
+        UserError: naming the missing inputs.
     """
     known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(OF_GOALS if goals else ())}
     missing = [name for name in controller.inputs if name not in known]

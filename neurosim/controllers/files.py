@@ -1,8 +1,8 @@
-"""Controllers on disk: a folder with ``controller.json``, and weights where there are any.
+"""Controllers on disk: a folder with ``controller.json``, and weights, if any.
 
-A controller's folder has its prediction, so that a trial can be compared with it. For a
-plan these are the pose after each given command, at the instant when the next one takes over, and
-the pose at rest, once the motors have run down after the last.
+A controller's folder has its prediction, so that a trial can be compared with it. For a plan these
+are the pose after each given command, at the instant when the next one begins, and the pose at
+rest, after the motors have stopped.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan, Plan, c
 from neurosim.controllers.registry import CONTROLLERS
 
 FORMAT, VERSION = "neurosim-controller", 1
-#: No command of a plan lasts longer, s.
+#: Longest command of a plan, s.
 LONGEST = 3600.0
 _PARTS = ("task", "simulator", "predicted", "evolution")
 
 
 @dataclass(frozen=True, eq=False)
 class SavedController:
-    """One controller: a family, an individual's genes, and where it comes from.
+    """One controller: a family, an individual's genes, and its origin.
 
     Attributes:
         controller: the family.
         genes: [G] of the individual; empty for a plan, whose commands are in the family.
-        task: {"name", "settings"} of the task that it was made for.
-        start: x (m), y (m), heading (rad) where it starts, in the board's frame.
-        predicted: what the simulator says of it: ``fitness``; ``completes``, whether the expected
+        task: {"name", "settings"} of its task.
+        start: x (m), y (m), heading (rad) of its start, in the board's frame.
+        predicted: the simulator's prediction: ``fitness``; ``completes``, whether the expected
             path does the task, and its ``poses`` [[x, y, theta], ...] and ``rest`` [x, y, theta];
-            over so many random samples (``draws``) the ``probability`` of success.
-        simulator: {"path", "sha256"} of what it was evolved in.
+            the ``probability`` of success over ``draws`` random samples.
+        simulator: {"path", "sha256"} of the simulator in which it evolved.
         evolution: settings and history of its evolution.
 
     Example:
@@ -61,7 +61,7 @@ class SavedController:
     def of(
         cls, controller: Controller, genes: NDArray[np.float64], *others: Any
     ) -> SavedController:
-        """Return an individual [G] of a family as it is written: a plan as its commands.
+        """Return an individual [G] of a family in its saved form: a plan as its commands.
 
         Args:
             controller: the family.
@@ -81,7 +81,7 @@ class SavedController:
 
     @property
     def commands(self) -> tuple[Command | None, ...]:
-        """The commands of a plan, None for a null one; of other kinds none."""
+        """The commands of a plan, None for a null one; empty for other kinds."""
         return self.controller.slots if isinstance(self.controller, FixedPlan) else ()
 
     @property
@@ -93,12 +93,12 @@ class SavedController:
         """Write the controller to a new folder, whole or not at all.
 
         Args:
-            folder: where.
+            folder: the new folder.
             overwrite: whether to replace an existing one.
 
         Raises:
-            UserError: if there is something at ``folder`` that is not to be replaced, a plan gives
-                no command, or a function was not registered by a name.
+            UserError: if ``folder`` exists and must not be replaced, a plan has no command, or a
+                function was not registered by a name.
         """
         family = self.controller
         check_readable(family)
@@ -131,7 +131,7 @@ class SavedController:
 
 
 def check_readable(family: Controller) -> None:
-    """Refuse a family whose controllers could be written, but not read again.
+    """Raise an error for a family whose controllers could be written, but not read again.
 
     Raises:
         UserError: if it was not registered by its name.
@@ -147,9 +147,9 @@ def read_controller(folder: str | Path) -> SavedController:
     """Read a controller of any kind.
 
     Raises:
-        FileError: naming file and field: a missing file or key, another version or kind, a
-            command that is not one, a prediction that does not fit the commands, weights that do
-            not fit the inputs.
+        FileError: naming file and field: a missing file or key, another version or kind, a wrong
+            command, a prediction that does not fit the commands, weights that do not fit the
+            inputs.
     """
     path = Path(folder) / "controller.json"
     if not Path(folder).is_dir():

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from neurosim.controllers.base import WHEELS, Controller
 
-#: Takes the observations, name -> [B], and where the controller has genes these, [B, G]; returns
-#: one array (or number) for each output.
+#: Takes the observations, name -> [B], and the genes [B, G], if the controller has any; returns one
+#: array (or number) for each output.
 Rule = Callable[..., Sequence[ArrayLike]]
 
 
@@ -22,7 +22,7 @@ Rule = Callable[..., Sequence[ArrayLike]]
 class Function(Controller):
     """A controller that is a Python function, with or without genes.
 
-    The function works on a whole batch: it is given arrays, one number a robot.
+    The function works on a whole batch: it gets arrays with one number for each robot.
 
     >>> def away(seen):
     ...     return 60 - 80 * seen["sensor_3"], 60 - 80 * seen["sensor_2"]
@@ -32,10 +32,10 @@ class Function(Controller):
 
     Attributes:
         function: see :data:`Rule`.
-        inputs: what it observes.
-        genes: how many numbers evolution may choose.
+        inputs: names of its observations.
+        genes: number of genes, which evolution chooses.
         outputs: columns of the command.
-        name: what it is registered as, and is found again by when it is read from a file.
+        name: its registered name, by which it is found when a controller is read from a file.
     """
 
     function: Rule
@@ -46,7 +46,7 @@ class Function(Controller):
 
     @property
     def kind(self) -> str:  # type: ignore[override]
-        """The name that it is registered as."""
+        """The registered name."""
         return self.name
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
@@ -58,5 +58,5 @@ class Function(Controller):
         return torch.from_numpy(np.stack(columns, axis=1)).to(observation), memory
 
     def settings(self) -> dict[str, Any]:
-        """Return nothing: a function is found again by the name it was registered with."""
+        """Return no settings: a function is found by its registered name."""
         return {}

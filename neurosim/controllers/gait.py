@@ -2,8 +2,8 @@
 
 Each foot moves along a locus in the plane that the turn rate skews: on the ground straight back,
 then lifting, through the air, and descending. Two legs that stand diagonally move together, and
-the other two half a cycle later. The paper names the parameters and gives neither their formulas
-nor their bounds; those are ours.
+the other two half a cycle later. The paper names the parameters, but not their formulas and bounds;
+these are neurosim's own.
 
 The locus is between a half ellipse (Kohl and Stone 2004) and a trapezoid, by the shape factor. Its
 heights are those at the end of lifting, in the middle of the air stage and at the beginning of
@@ -75,18 +75,18 @@ GAIT_PARAMETERS = (
 )
 NAMES = tuple(one.name for one in GAIT_PARAMETERS)
 
-#: Shortest and longest cycle, s: no gait is fast by trembling, or lies in wait.
+#: Shortest and longest cycle, s: gaits that tremble, or barely move, are excluded.
 CYCLE = (0.4, 2.0)
-#: The loci grow from a stand for so long, s.
+#: Time in which the loci grow from a stand, s.
 BEGIN = 0.5
 #: Diagonal legs are in phase, the two pairs half a cycle apart.
 PHASE = np.array([0.0, 0.5, 0.5, 0.0])
-#: Of each other stage than the air one so many points are computed.
+#: Number of computed points of each stage except the air stage.
 _GROUND, _LIFT = 12, 4
 
 
-#: Tuned by hand, before anything was learned, and not to be changed: what learning starts from and
-#: is compared with.
+#: Tuned by hand before any learning, and not to be changed: learning starts from it and is compared
+#: with it.
 HAND_TUNED = {
     "length": 0.055,
     "shape": 0.5,
@@ -118,8 +118,8 @@ def genes_of(
     """Return the genes [G] in 0..1 of a gait's parameters in their units.
 
     Args:
-        values: all by name, or [G] in the order of the parameters.
-        parameters: which a gait has; by default the 20 of a trot.
+        values: all values by name, or [G] in the order of the parameters.
+        parameters: those of the gait; by default the 20 of a trot.
 
     Raises:
         UserError: if one is missing, unknown, not finite or out of bounds.
@@ -166,8 +166,8 @@ def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
         genes: [20] in 0..1.
 
     Returns:
-        Feet [4, N, 3] m from their hips (forward, outwards, up), when each point is passed [N] as
-        a fraction of the cycle, 0 to 1, and the cycle, s. The last point is the first one again.
+        Feet [4, N, 3] m from their hips (forward, outwards, up), the time of each point [N] as a
+        fraction of the cycle, 0 to 1, and the cycle, s. The last point is the first one again.
     """
     value = dict(zip(NAMES, values_of(np.asarray(genes, np.float64)).tolist(), strict=True))
     ground = value["ground_share"]
@@ -231,10 +231,10 @@ class Gaits(Controller):
         return torch.rand(count, self.genes, generator=generator, dtype=torch.float64)
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the commands [B, joints] rad at the observed times; nothing is remembered."""
+        """Return the commands [B, joints] rad at the observed times; there is no memory."""
         times, row = np.unique(observation[:, 0].numpy(), return_inverse=True)
         angles = np.empty((len(genes), len(self.outputs)))
-        for place, time in enumerate(times):  # one, where all began together
+        for place, time in enumerate(times):  # a single time if all began together
             angles[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
         return torch.from_numpy(angles), memory
 
@@ -279,12 +279,12 @@ class Gait(Gaits):
         return joints
 
     def check(self, genes: NDArray[np.float64]) -> None:
-        """Refuse a gait [20] whose feet leave what the legs reach.
+        """Raise an error for a gait [20] whose feet are out of the legs' reach.
 
-        In a search such a gait does what its joints allow; one that a person writes is a mistake.
+        In a search such a gait moves as its joints allow; a person's gait is a mistake.
 
         Raises:
-            UserError: naming a leg and the place.
+            UserError: naming the leg and the point.
         """
         feet, _, _ = loci(genes)
         _, reached = angles_of(feet, KNEE[:, None])

@@ -1,5 +1,4 @@
-"""Which goal of an episode is the next: the goal inputs of a controller in a simulator and on a
-robot."""
+"""The next goal of an episode, for a controller's goal inputs in a simulator and on a robot."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ from neurosim.base.trajectory import Episode
 
 
 class Goals:
-    """Which of an episode's goals each robot is to reach next.
+    """The next of an episode's goals for each robot.
 
     Args:
         episode: of the task.

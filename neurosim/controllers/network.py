@@ -58,7 +58,7 @@ class Network(Controller):
 
     @property
     def genes(self) -> int:  # type: ignore[override]
-        """How many weights there are."""
+        """Number of weights."""
         return sum(rows * columns for rows, columns in self.shapes)
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
@@ -86,12 +86,12 @@ def braitenberg(
 ) -> tuple[Network, NDArray[np.float64]]:
     """Return a hand-written network that avoids obstacles, and its genes: a Braitenberg vehicle.
 
-    Each wheel is slowed by what is near on the other side, the more the further ahead it is.
+    Each wheel is slowed by near objects on the other side, most by those straight ahead.
 
     Args:
         readings: names of the sensors' readings.
-        bearings: where each of them looks, [S] rad to the left; NaN where it sees nothing.
-        speed: of the wheels where nothing is near, as tanh takes it.
+        bearings: direction of each sensor, [S] rad to the left; NaN for one that sees nothing.
+        speed: of the wheels if nothing is near, as the argument of tanh.
         gain: of a sensor that looks straight ahead.
     """
     network = Network(tuple(readings))
@@ -128,14 +128,14 @@ class Recurrent(Controller):
 
     @property
     def genes(self) -> int:  # type: ignore[override]
-        """How many weights, and time constants, there are."""
+        """Number of weights and time constants."""
         own = self.units if self.dynamics == "ctrnn" else 0
         hidden = self.units * (len(self.inputs) + self.units + 1)
         return own + hidden + len(self.outputs) * (self.units + 1)
 
     @property
     def memory(self) -> int:  # type: ignore[override]
-        """One number for every hidden unit."""
+        """Size of the memory: one number for every hidden unit."""
         return self.units
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
@@ -167,7 +167,7 @@ class Recurrent(Controller):
 
 
 def _freeze(family: Network | Recurrent, *names: str) -> None:
-    """Make tuples of lists, as files have them."""
+    """Turn lists, which files have, into tuples."""
     for name in names:
         value = getattr(family, name)
         if not isinstance(value, int | float):

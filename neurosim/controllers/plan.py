@@ -47,7 +47,7 @@ class Plan(Controller):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("names", "units"):  # tuples of lists, as files have them
+        for name in ("names", "units"):  # lists, which files have, become tuples
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if len(self.units) != len(self.names) or len(self._limits) != len(self.names):
             raise UserError(
@@ -109,7 +109,7 @@ class Plan(Controller):
 
 @dataclass(frozen=True)
 class FixedPlan(Controller):
-    """One plan, as it was evolved or written by hand; it has no genes.
+    """One plan, evolved or written by hand; it has no genes.
 
     Attributes:
         slots: its commands, None for a null one.
@@ -153,7 +153,7 @@ def stop_after(command: Sequence[float], units: Sequence[str]) -> list[float]:
     """Return the numbers of a stop after a command: angles, such as a car's steering, are held.
 
     Args:
-        command: its numbers, perhaps with others behind them.
+        command: its numbers; others may follow.
         units: of the numbers.
     """
     return [
@@ -169,8 +169,8 @@ def with_rest(
     Args:
         commands: [P, K, C], the last column the duration.
         active: [P, K].
-        rest: how long the motors are stopped, s; 0: both are returned as they are.
-        units: of a command's numbers; the angles of the last one that is given are held.
+        rest: duration of the stop, s; 0: both are returned unchanged.
+        units: of a command's numbers; the angles of the last given one are held.
     """
     if rest <= 0:
         return commands, active

@@ -13,7 +13,7 @@ from neurosim.controllers.base import Controller
 from neurosim.controllers.plan import COMMAND_NAMES, Plan
 from neurosim.networks.control import GOAL_INPUTS
 
-#: By name: what takes settings as keywords and returns a :class:`Controller`.
+#: Functions by name that take settings as keywords and return a :class:`Controller`.
 CONTROLLERS = Registry(
     "kind of controller",
     "neurosim.controllers",
@@ -37,14 +37,13 @@ def make_controller(
 
     Args:
         kind: its name.
-        simulator: where it is to run: a network observes the sensors that there are, and its
-            outputs are the commands that there are, if the settings say nothing else.
-        task: a network observes where its next goal is, if it has goals.
+        simulator: the simulator of its drives: unless set otherwise, a network observes all its
+            sensors, and its outputs are the simulator's commands.
+        task: a network observes its next goal, if it has goals.
         settings: of the kind.
 
     Raises:
-        UserError: if there is none of this kind, it has no such setting, or it needs to know what
-            there is to observe.
+        UserError: if the kind or a setting is unknown, or a network has nothing to observe.
 
     Example:
         >>> ns.make_controller("plan", slots=10).slots
@@ -80,7 +79,7 @@ def make_controller(
 
 
 def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
-    """Return the default observations: the sensors of the task, and where the next goal is."""
+    """Return the default observations: the sensors, and the position of the next goal."""
     if task is None:
         return tuple(simulator.reading_names)
     goals = () if task.episode.goals is None else GOAL_INPUTS
@@ -88,7 +87,7 @@ def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
 
 
 def _within(simulator: Any) -> dict[str, Any]:
-    """Return settings of plans whose defaults leave what a simulator was made from."""
+    """Return settings of plans, with defaults limited to a simulator's data."""
     settings: dict[str, Any] = {}
     *names, last = simulator.command_names
     if last != "duration":

@@ -1,9 +1,9 @@
 """Gaits of five parameters for a quadruped of nine servos: SineModel5 of Yosinski et al. 2011.
 
 All eight servos of the legs follow one sine wave. Multipliers scale it for outer servos, for legs
-two and four, and for legs one and four. The waves are added to a crouch, and what the servos cannot
-take is cut. For a second at the beginning and two at the end the robot goes from its crouch
-to the gait and back, so that it is measured in one and the same pose.
+two and four, and for legs one and four. The waves are added to a crouch, and positions beyond the
+servos' limits are cut. For a second at the beginning and two at the end the robot goes from its
+crouch to the gait and back, so that it is measured in one and the same pose.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from neurosim.robots.quadratot import JOINTS, MIDDLE, READY, angles_of
 
 #: The wave is added to these positions of inner and outer servos.
 INNER, OUTER = 800, 40
-#: So long are the ways from the crouch to the gait, and back, s.
+#: Time from the crouch to the gait, and back, s.
 BEGIN, END = 1.0, 2.0
 
 

@@ -1,7 +1,8 @@
 """Gymnasium environments: every task in every simulator, one robot or many at once.
 
-Importing this package registers them, or naming it: ``gymnasium.make("neurosim.envs:neurosim/
-GoTo-v0", simulator="folder")``. A task of your own is ``neurosim/Task-v0`` with ``task=``.
+An import of this package registers them, and so does its name:
+``gymnasium.make("neurosim.envs:neurosim/GoTo-v0", simulator="folder")``. A task of your own is
+``neurosim/Task-v0`` with ``task=``.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ def make_env(
 
     Args:
         simulator, task: as :class:`TaskEnv` takes them.
-        robot: None; or as ``--robot`` takes it: virtual, virtual-khepera, or a real one's.
-        others: of :class:`TaskEnv`, or of :class:`neurosim.envs.robot.RobotEnv`.
+        robot: None, or a name for ``--robot``: virtual, virtual-khepera, or a real robot's.
+        others: arguments of :class:`TaskEnv`, or of :class:`neurosim.envs.robot.RobotEnv`.
 
     Raises:
         UserError: if they do not fit each other.
@@ -45,13 +46,13 @@ def make_env(
 
 
 def sb3(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> Any:
-    """Return a vector environment as Stable-Baselines3 takes it, a ``VecEnv``.
+    """Return a vector environment as a ``VecEnv`` of Stable-Baselines3.
 
     Args:
         envs: made with ``autoreset_mode="SameStep"``, wrapped or not.
 
     Raises:
-        UserError: if they were not, or Stable-Baselines3 is not installed.
+        UserError: if they have another mode, or Stable-Baselines3 is not installed.
     """
     try:
         import stable_baselines3  # noqa: F401
@@ -65,7 +66,7 @@ def sb3(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> Any:
 
 
 def environment_id(task: str) -> str:
-    """Return the name under which Gymnasium knows a task: neurosim/GoTo-v0 of ``go-to``."""
+    """Return a task's name in Gymnasium: neurosim/GoTo-v0 for ``go-to``."""
     return f"neurosim/{''.join(part.capitalize() for part in task.split('-'))}-v0"
 
 

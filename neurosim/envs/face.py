@@ -1,6 +1,6 @@
-"""Observations and actions of an environment: spaces, observations, actions and rewards.
+"""Spaces, observations, actions and rewards of an environment.
 
-It is the same for a simulator and for the robot: a learner cannot tell them apart.
+They are the same for a simulator and for the robot: a learner sees no difference.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from neurosim.networks.control_kernels import closed_loop, observe
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
 
-#: Poses are told up to so far outside of what simulator and task have an outline of, m.
+#: Observed positions reach so far beyond the outline of simulator and task, m.
 BEYOND = 0.5
-#: Where neither has one, they are told up to so far from the start, m.
+#: Without an outline, observed positions reach so far from the start, m.
 AROUND = 5.0
 
 
@@ -46,28 +46,28 @@ class Face:
     """Spaces, observations, and rewards of B trials of a task.
 
     Attributes:
-        simulator, task: of which it is.
+        simulator, task: those of the environment.
         names: of the columns of an observation.
         outputs: of the columns of an action.
-        reads: whether the sensors are to be read.
+        reads: whether the sensors must be read.
         record: [B, W] of the task, one for each trial.
-        judged: the fitness of trials now.
+        judged: the present fitness of the trials.
     """
 
     def __init__(
         self, simulator: Simulator, task: Task, count: int, names: Sequence[str] | None = None
     ):
-        """Lay out spaces.
+        """Define the spaces.
 
         Args:
             simulator, task: see the class.
             count: trials.
-            names: the observations; by default all sensors and where the next goal is, or, where
-                there are neither, pose and time.
+            names: the observations; by default all sensors and the position of the next goal;
+                without both, pose and time.
 
         Raises:
-            UserError: if something is to be observed that there is not, or the task needs sensors
-                and there are none.
+            UserError: if an observation does not exist, or the task needs sensors and there are
+                none.
         """
         task = task.within_perimeter(simulator.perimeter)
         self.simulator, self.task, self.episode = simulator, task, task.episode
@@ -89,13 +89,13 @@ class Face:
         self.record = task.new_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
         self.judged: Judgement = task.score(self.record)
         sources = input_sources(self.names, simulator.reading_names)
-        # Of the network that this is of, nothing is used but its inputs.
+        # Only the inputs of this network are used.
         shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
         self._pilot = closed_loop(shape, sources, self.episode, False)
         self._goal, self._every = np.zeros(count, np.int64), np.arange(count)
 
     def _actions(self) -> Box[np.float32]:
-        """Return the commands that the simulator was made from, without a duration."""
+        """Return the ranges of the simulator's commands, without a duration."""
         usual = dict.fromkeys(WHEELS, (-100.0, 100.0))
         limits = {**usual, **self.simulator.domain}
         pairs = np.array([limits.get(name, (-np.inf, np.inf)) for name in self.outputs])
@@ -154,7 +154,7 @@ class Face:
             count: of environments; None: of a single one.
 
         Raises:
-            UserError: if there are not as many, or one is no number or out of range.
+            UserError: if their number is wrong, or one is not a number or out of range.
         """
         try:
             given = np.asarray(actions, np.float32)
@@ -179,7 +179,7 @@ class Face:
         return self.lasting(commands, self.episode.step)
 
     def lasting(self, commands: NDArray, duration: float) -> NDArray[np.float64]:
-        """Return commands [B, C] with the duration (s) behind them, where that is a column."""
+        """Return commands [B, C] followed by the duration (s), if that is a column."""
         out = np.empty((len(commands), len(self.outputs) + self.timed))
         out[:, : len(self.outputs)] = commands
         if self.timed:
@@ -187,7 +187,7 @@ class Face:
         return out
 
     def add(self, rows: Rows, interval: Interval) -> None:
-        """Add an interval to K trials; commands may have a duration behind them."""
+        """Add an interval to K trials; a duration may follow the commands."""
         assert interval.commands is not None
         record = self.record[rows]
         self.task.add(record, interval._replace(commands=interval.commands[:, : len(self.outputs)]))
@@ -202,9 +202,9 @@ def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:
 
 
 def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return lowest and highest x and y [2] (m) that an observation tells.
+    """Return lowest and highest x and y [2] (m) of observations.
 
-    Those of what simulator and task have an outline of, and :data:`BEYOND`; or :data:`AROUND` the
+    They are those of the outlines of simulator and task, plus :data:`BEYOND`; or :data:`AROUND` the
     start.
     """
     corners = []
@@ -221,13 +221,13 @@ def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArra
 
 
 def rate(task: Task) -> float:
-    """Return how many steps a second a task has."""
+    """Return a task's number of steps per second."""
     return 1.0 / task.episode.step if math.isfinite(task.episode.step) else 1.0
 
 
 @njit(cache=True)
 def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
-    """Return the place in values [B, C] of the first that is not within its limits [C], or -1."""
+    """Return the index in values [B, C] of the first value beyond its limits [C], or -1."""
     for b in range(values.shape[0]):
         for c in range(values.shape[1]):
             if not low[c] <= values[b, c] <= high[c]:
@@ -237,7 +237,7 @@ def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
 
 @njit(cache=True, error_model="numpy")
 def _observe(pilot, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
-    """Write observations [K, I], cut off at their limits; ``goal`` [B] is each row's next one."""
+    """Write observations [K, I], cut at their limits; ``goal`` [B] is each row's next one."""
     for k in range(len(rows)):
         x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
         if math.isnan(x + y + heading):

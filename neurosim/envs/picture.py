@@ -1,4 +1,4 @@
-"""Pictures of trials under way: the place, each robot and its path."""
+"""Pictures of running trials: the place, each robot and its path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from neurosim.tasks.base import Task
 
 #: Pixels of the longer side.
 SIZE = 480
-#: Radius of a robot whose size is not known, m.
+#: Radius of a robot of unknown size, m.
 RADIUS = 0.08
 _PAPER, _INK, _FORBIDDEN = (255, 255, 255), (120, 120, 120), (225, 200, 200)
 _PATH, _ROBOT = (60, 110, 200), (20, 60, 140)
@@ -27,7 +27,7 @@ def check_mode(mode: str | None, modes: Sequence[str]) -> str | None:
     """Return a render mode.
 
     Raises:
-        UserError: if there is none of this name.
+        UserError: if the name is unknown.
     """
     if mode is not None and mode not in modes:
         raise UserError(f"render_mode is one of {', '.join(modes)}, not {mode!r}")
@@ -54,7 +54,7 @@ class Picture:
             self._paths[row] = [np.array(pose)]
 
     def add(self, poses: NDArray[np.float64]) -> None:
-        """Go on to poses [B, 3]; of a robot that is nowhere (NaN) nothing is added."""
+        """Continue to poses [B, 3]; an unknown pose (NaN) is left out."""
         for path, pose in zip(self._paths, poses, strict=True):
             if np.isfinite(pose).all():
                 path.append(np.array(pose))

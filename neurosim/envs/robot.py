@@ -27,7 +27,7 @@ from neurosim.tasks.base import Interval, Task
 from neurosim.trials.rig import RIGS, Setup, open_rig, place_of
 from tracking.camera.camera_model import CameraModel
 
-#: The robot stands still for so long before a trial, s.
+#: Time that the robot stands still before a trial, s.
 REST = 0.3
 
 
@@ -35,9 +35,9 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A trial of a task on the robot is an episode, in the robot's own time.
 
     Spaces, observations and rewards are those of :class:`neurosim.envs.single.TaskEnv` in the
-    simulator. An action holds for the task's step; :meth:`step` returns when that is over. Where
-    the robot is its wheels' counters say, or a camera with a calibration. The last ``info`` also
-    has ``missed_deadlines``: how many actions came too late.
+    simulator. An action lasts for the task's step; :meth:`step` returns at its end. Poses come from
+    the wheels' counters, or from a camera with a calibration. The last ``info`` also has
+    ``missed_deadlines``, the number of actions that came too late.
 
     Attributes:
         robot: its driver.
@@ -62,21 +62,21 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Connect.
 
         Args:
-            simulator: of this robot: its spaces are taken.
+            simulator: of this robot; it determines the spaces.
             task: its name, or the task.
-            robot: as ``--robot`` takes it: virtual, virtual-khepera, or a real one's.
+            robot: a name for ``--robot``: virtual, virtual-khepera, or a real robot's.
             options: of the robot.
-            calibration: of the camera that films it; without one its counters say where it is.
+            calibration: of the camera that films it; without one, poses come from its counters.
             camera: a camera's number or URL; in the virtual lab its own.
-            place: puts the robot at a pose (m, m, rad) before each trial; by default the virtual
-                lab does, or a person is asked to at the terminal.
+            place: a function that places the robot at a pose (m, m, rad) before each trial; by
+                default the virtual lab does this, or a person is asked at the terminal.
             observe: names of the observations.
             render_mode: None, rgb_array or human.
-            settings: of a task that is named.
+            settings: of a task that is given by name.
 
         Raises:
-            UserError: if the robot cannot be driven by the simulator's commands, does not read its
-                sensors, or nothing says where it is; or as for a simulator.
+            UserError: if the robot does not take the simulator's commands, lacks its sensors, or
+                its pose is unknown; or as for a simulator.
             RobotError: if it cannot be reached.
         """
         simulator, goal = made(simulator, task, settings)
@@ -149,7 +149,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Stop the robot, have it put where a trial starts, and look at it."""
+        """Stop the robot, have it placed at the start of a trial, and observe it."""
         self._check_open()
         super().reset(seed=seed)
         task, simulator = self._face.task, self._face.simulator
@@ -157,7 +157,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         starts = task.draw_starts(simulator, 1, self.np_random)
         start = np.asarray(task.start if starts is None else starts[0], np.float64)
         there = start
-        if self._virtual and starts is None:  # as exactly as a person does
+        if self._virtual and starts is None:  # with a person's error
             there = placed(start[None], PLACING, self.np_random)[0]
         self._place([float(value) for value in there])
         clock = self.robot.clock
@@ -180,10 +180,10 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Give the robot a command, and return when the task's step is over.
+        """Give the robot a command, and return at the end of the task's step.
 
         Raises:
-            UserError: if the action is not of the action space, or no trial is under way.
+            UserError: if the action is not in the action space, or no trial is running.
             RobotError: if the robot stopped answering.
         """
         self._check_open()
@@ -233,7 +233,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._see(), float(face.judged.progress[0] - before[0]), decided, late, info
 
     def _look(self) -> None:
-        """Read the sensors, and where the robot is; one that is not seen is where it was."""
+        """Read the sensors and the pose; a robot that is not seen keeps its last pose."""
         self._readings = None
         if self._face.reads:
             names = self._face.simulator.reading_names
@@ -243,7 +243,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._odometry is not None:
             self._pose = np.array(self._odometry.read())
         elif self._spotter is not None and (last := self._spotter.last) is not None:
-            turned = last[1][2] - self._pose[2]  # a camera tells headings within a turn
+            turned = last[1][2] - self._pose[2]  # a camera measures headings within one turn
             heading = self._pose[2] + se2.wrapped(turned)
             self._pose = np.array([*last[1][:2], heading])
 
@@ -263,7 +263,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._picture.draw(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Stop the robot and let go of it."""
+        """Stop the robot and disconnect."""
         if self._closed:
             return
         self._closed = True
@@ -277,13 +277,13 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 class _Nothing:
-    """A log in which nothing is kept."""
+    """A log that keeps nothing."""
 
     def append(self, *values: Any) -> None:
         """Forget it."""
 
 
 def _ask(pose: Sequence[float]) -> None:
-    """Ask a person to put the robot at a pose (m, m, rad)."""
+    """Ask a person to place the robot at a pose (m, m, rad)."""
     x, y, heading = 100 * pose[0], 100 * pose[1], np.degrees(pose[2])
     input(f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees; Enter: ")

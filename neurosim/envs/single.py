@@ -20,17 +20,16 @@ from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
 
-#: What is said of a closed environment that is asked for more.
+#: Error of a closed environment.
 CLOSED = "this environment is closed; make another one"
 
 
 class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A trial of a task is an episode.
 
-    The reward of a step is how much the task's progress grew in it: their sum is the progress of
-    the whole trial, less that of standing still. An episode terminates when nothing that follows
-    counts any more, and is truncated when its time is over; its last ``info`` has ``is_success``
-    and ``progress``.
+    The reward of a step is the growth of the task's progress: the sum of rewards is the progress of
+    the whole trial, less that of standing still. An episode terminates when the result is decided,
+    and is truncated at the end of its time; its last ``info`` has ``is_success`` and ``progress``.
 
     Attributes:
         trials: the one trial.
@@ -52,14 +51,14 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Make an environment.
 
         Args:
-            simulator: a folder, or what was read from it.
+            simulator: a simulator or its folder.
             task: its name, or the task.
-            observe, noise, placing: as :class:`Trials` takes them.
+            observe, noise, placing: as in :class:`Trials`.
             render_mode: None, rgb_array or human.
-            settings: of a task that is named.
+            settings: of a task that is given by name.
 
         Raises:
-            UserError: if the simulator cannot be read, or is not of the kind that the task needs.
+            UserError: if the simulator cannot be read, or does not fit the task.
         """
         simulator, goal = made(simulator, task, settings)
         self.trials = Trials(simulator, goal, 1, observe=observe, noise=noise, placing=placing)
@@ -73,7 +72,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a trial; with a seed, the same ones follow as with that seed before."""
+        """Begin a trial; the same seed gives the same sequence of trials."""
         self._check_open()
         super().reset(seed=seed)
         if seed is not None:
@@ -88,10 +87,10 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Go on by a step of the task.
+        """Advance by a step of the task.
 
         Raises:
-            UserError: if the action is not of the action space, or no trial is under way.
+            UserError: if the action is not in the action space, or no trial is running.
         """
         self._check_open()
         if not self._begun:
@@ -114,7 +113,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._picture.show(self.metadata["render_fps"])
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture [height, width, 3] of the trial until now, where the mode is rgb_array.
+        """Return a picture [height, width, 3] of the trial so far, if the mode is rgb_array.
 
         Raises:
             UserError: if the environment was made without a render mode.
@@ -140,7 +139,7 @@ def made(
     task: str | Mapping[str, Any] | Task,
     settings: Mapping[str, Any],
 ) -> tuple[Simulator, Task]:
-    """Return simulator, in the task's place, and task of what environments are made of.
+    """Return an environment's simulator, in the task's place, and its task.
 
     Raises:
         UserError: if one of them is wrong.

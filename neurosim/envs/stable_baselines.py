@@ -1,4 +1,4 @@
-"""Gymnasium's vector environments as Stable-Baselines3 takes them."""
+"""Gymnasium's vector environments for Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from neurosim.base.errors import UserError
 
 
 class StableBaselinesEnvs(VecEnv):
-    """A vector environment that begins the next trial in the last step of the one before.
+    """A vector environment that begins the next trial in the last step of the previous one.
 
     The end of a trial is described in its ``info``: ``terminal_observation``,
-    ``TimeLimit.truncated``, and what the environment itself says, such as ``is_success``.
+    ``TimeLimit.truncated``, and the environment's own keys, such as ``is_success``.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]):
@@ -47,7 +47,7 @@ class StableBaselinesEnvs(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[NDArray, NDArray, NDArray, list[dict[str, Any]]]:
-        """Go on by a step; return observations, rewards, which trials ended, and infos."""
+        """Advance by a step; return observations, rewards, whether trials ended, and infos."""
         seen, rewards, terminated, truncated, info = self.envs.step(self._actions)
         ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -73,7 +73,7 @@ class StableBaselinesEnvs(VecEnv):
         return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: the environments are one.
+        """Raise an error: the environments are one object.
 
         Raises:
             UserError: always.
@@ -83,7 +83,7 @@ class StableBaselinesEnvs(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refuse: the environments are one, and have no methods of their own.
+        """Raise an error: the environments are one object without separate methods.
 
         Raises:
             UserError: always.
@@ -91,5 +91,5 @@ class StableBaselinesEnvs(VecEnv):
         raise UserError(f"{method_name} cannot be called: these environments are stepped together")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Return whether each is wrapped by itself: none is."""
+        """Return whether each environment is wrapped: always False."""
         return [False for _ in self._get_indices(indices)]

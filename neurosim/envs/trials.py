@@ -15,7 +15,7 @@ from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Interval, Task
 
-#: So many samples are drawn at once: most of the work of drawing is not in the numbers.
+#: Number of samples drawn at once, because a call takes longer than the numbers.
 BLOCK = 16
 
 
@@ -23,7 +23,7 @@ class Samples:
     """The random conditions of each trial of a batch: start, member of the ensemble, and seed of
     its noise.
 
-    Each row draws from a generator of its own, so that it meets the same in a batch of any size.
+    Each row has its own generator, so that its samples do not depend on the batch's size.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Samples:
         self._next = np.full(count, BLOCK)
 
     def forget(self, row: int) -> None:
-        """Draw again for a row, whose generator is another one now."""
+        """Drop a row's samples, because it has another generator now."""
         self._next[row] = BLOCK
 
     def take(
@@ -72,7 +72,7 @@ class Samples:
 
 
 class Trials:
-    """B trials of a task in a simulator, each begun and ended by itself.
+    """B trials of a task in a simulator, which begin and end independently.
 
     Attributes:
         face: spaces, observations, rewards.
@@ -92,13 +92,12 @@ class Trials:
         """Prepare.
 
         Args:
-            simulator: where they are made.
-            task: which is tried.
-            count: trials at once.
+            simulator: the simulator of the trials.
+            task: the task.
+            count: number of trials at once.
             observe: names of the observations; see :class:`Face`.
-            noise: whether each trial is a random sample: where the robot is placed, as
-                which member of the ensemble it moves, and its noise; if not, it is the expected
-                motion.
+            noise: whether each trial is a random sample of the start, the member of the ensemble
+                and the noise; otherwise it is the expected motion.
             placing: error in placing the robot where a trial starts at a mark: standard
                 deviations in x and y (m) and in heading (rad).
         """
@@ -118,11 +117,11 @@ class Trials:
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Where the robots are, [B, 3] (m, m, rad)."""
+        """The robots' poses, [B, 3] (m, m, rad)."""
         return self.state[:, :3]
 
     def forget(self, row: int) -> None:
-        """Draw samples again in a row, whose generator is another one now."""
+        """Drop a row's samples, because it has another generator now."""
         self._samples.forget(row)
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
@@ -140,17 +139,17 @@ class Trials:
     def step(
         self, commands: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Go on with all trials.
+        """Advance all trials.
 
-        A trial ends when nothing that follows counts any more, or its time is over; the motors
-        then run down, where the task says so, and what becomes of that counts in this step.
+        A trial ends when its result is decided, or its time is over. If the task says so, the
+        motors then stop, and the motion until rest counts in this step.
 
         Args:
             commands: [B, C] of :meth:`Face.checked`.
 
         Returns:
-            Rewards [B]: how much the task's progress grew; which trials are decided so, and which
-            others have no time left, [B] bool each.
+            Rewards [B], the growth of the task's progress; whether each trial is decided, and
+            whether its time is over, [B] bool each.
         """
         with one_core(len(self) < WORTH_SHARING):
             return self._step(commands)
@@ -191,7 +190,7 @@ class Trials:
         self.face.add(rows, moved)
 
     def _sampled(self, rows: Rows) -> NDArray | None:
-        """Return the noise of the next step, if there is any, and keep it."""
+        """Return the noise of the next step, if any, and keep it."""
         if not self._noisy:
             return None
         noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
@@ -207,16 +206,16 @@ class Trials:
         return kept
 
     def see(self, rows: Rows = slice(None)) -> NDArray[np.float32]:
-        """Return the observations of rows [K], [K, I]; to be asked once after a step."""
+        """Return the observations of rows [K], [K, I]; call it once after a step."""
         readings = None if self._readings is None else self._readings[rows]
         times = np.minimum(self._steps[rows], self.face.episode.steps) * self.face.episode.step
         return self.face.observation(rows, self.state[rows, :3], readings, times)
 
     def checked(self, actions: ArrayLike, ignored: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return commands [B, C] of actions [B, ...]; those of rows that are ignored may be any.
+        """Return commands [B, C] for actions [B, ...]; ignored rows may have any action.
 
         Raises:
-            UserError: if they are not what the action space says.
+            UserError: if they are not in the action space.
         """
         if ignored.any():
             try:

@@ -33,7 +33,7 @@ Stepped = tuple[
 class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]):
     """Many trials of a task at once, each like :class:`neurosim.envs.single.TaskEnv`.
 
-    With the same seeds it gives, step by step, what ``SyncVectorEnv`` of single ones gives.
+    With the same seeds its steps equal those of a ``SyncVectorEnv`` of single ones.
 
     Attributes:
         trials: all of them.
@@ -60,12 +60,12 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
 
         Args:
             simulator, task, observe, noise, placing, settings: as for a single one.
-            num_envs: how many.
+            num_envs: number of environments.
             autoreset_mode: see the class; a mode or its value.
             render_mode: None or rgb_array.
 
         Raises:
-            UserError: as for a single one; or there is no such mode, or no environment.
+            UserError: as for a single one; or if the mode is unknown, or there is no environment.
         """
         if num_envs < 1:
             raise UserError(f"there must be 1 environment at least, not {num_envs}")
@@ -113,14 +113,14 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a trial in every environment, or in those that ``options["reset_mask"]`` names.
+        """Begin a trial in every environment, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: of the first environment, the others have those that follow; or one for each.
+            seed: of the first environment, the others have the next numbers; or one for each.
             options: ``reset_mask`` [num_envs] bool.
 
         Raises:
-            UserError: if there are not as many seeds or places in the mask as environments.
+            UserError: if the number of seeds or the length of the mask is wrong.
         """
         self._check_open()
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_))
@@ -149,14 +149,14 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
             self._picture.begin(rows, self.trials.poses[rows])
 
     def step(self, actions: NDArray[np.float32]) -> Stepped:
-        """Go on with all trials by a step of the task.
+        """Advance all trials by a step of the task.
 
         Args:
             actions: [num_envs, C].
 
         Raises:
-            UserError: if an action is not of the action space, or a trial is over and its
-            environment was not reset.
+            UserError: if an action is not in the action space, or a trial is over and its
+                environment was not reset.
         """
         self._check_open()
         if not self._begun.all():
@@ -171,7 +171,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         if self._picture is not None:
             self._picture.add(self.trials.poses)
         self._seen = self.trials.see()
-        if again.any():  # NEXT_STEP: what was stepped here was over
+        if again.any():  # NEXT_STEP: these trials were over
             rewards[again], decided[again], late[again] = 0.0, False, False
         ended = decided | late
         infos = self._infos(ended)
@@ -200,7 +200,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         }
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
-        """Return a picture [height, width, 3] of each trial until now.
+        """Return a picture [height, width, 3] of each trial so far.
 
         Raises:
             UserError: if the environments were made without a render mode.
@@ -211,7 +211,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         return tuple(self._picture.draw(row) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Close what is drawn."""
+        """Close the windows."""
         if self._picture is not None:
             self._picture.close()
 

@@ -58,8 +58,8 @@ def decode(strings: NDArray[np.bool_], bits: int) -> NDArray[np.float64]:
 def linear_scaling(fitness: NDArray[np.float64], multiple: float) -> NDArray[np.float64]:
     """Return the fitness [P] scaled linearly (Goldberg 1989, chapter 4).
 
-    The mean stays, the best gets ``multiple`` times the mean; if the worst were negative then, it
-    gets 0 and the best less.
+    The mean stays, the best gets ``multiple`` times the mean. If this would make the worst
+    negative, the worst gets 0 and the best less.
     """
     mean, best, worst = fitness.mean(), fitness.max(), fitness.min()
     if best - worst <= 1e-12 * max(abs(best), abs(worst), 1e-300):
@@ -74,11 +74,11 @@ class BitGenetic:
     """A genetic algorithm of bit strings, ask and tell; it maximises."""
 
     def __init__(self, start: NDArray[np.float64], settings: BitSettings, seed: Any):
-        """Begin with mutations of where the search starts from.
+        """Begin with mutations of the start.
 
         Args:
             start: [G] fractions in 0..1.
-            settings: how.
+            settings: of the algorithm.
             seed: of ``numpy.random.default_rng``.
         """
         self._settings, self._rng = settings, np.random.default_rng(seed)
@@ -92,10 +92,10 @@ class BitGenetic:
         return decode(self._strings, self._settings.bits)
 
     def tell(self, fitness: NDArray[np.float64]) -> None:
-        """Take its fitness [P], the higher the better, and make the next.
+        """Take the population's fitness [P], the higher the better, and make the next population.
 
-        Selection is in proportion to fitness. Where one is negative, as the discrepancies of L3
-        are, the worst counts as 0 (Goldberg 1989, chapter 3).
+        Selection is in proportion to fitness. If one is negative, as in L3, the worst counts as 0
+        (Goldberg 1989, chapter 3).
         """
         rng, settings, count = self._rng, self._settings, len(fitness)
         scaled = linear_scaling(fitness - min(fitness.min(), 0.0), settings.scaling)

@@ -1,4 +1,4 @@
-"""An optimiser under way: its answers are kept, and are all that resuming needs."""
+"""A running optimiser whose answers are kept, from which alone it can be resumed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from neurosim.evolution.space import Optimiser
 
 
 class Replay:
-    """Any optimiser with the answers that it got; a new one with the same answers is equal.
+    """Any optimiser with its answers; a new optimiser with the same answers is equal to it.
 
     Attributes:
         optimiser: the optimiser.
-        hints: names of what its ``tell`` takes besides the fitness.
+        hints: names of further arguments of its ``tell``.
         answers: of every generation the fitness, the hints, and a checksum of the population.
     """
 
@@ -29,7 +29,7 @@ class Replay:
 
     @property
     def done(self) -> int:
-        """How many generations there were so far."""
+        """Number of generations so far."""
         return len(self.answers)
 
     def ask(self) -> NDArray[np.float64]:
@@ -49,10 +49,10 @@ class Replay:
         return {name: np.stack([one[name] for one in self.answers]) for name in names}
 
     def load(self, state: Mapping[str, NDArray]) -> None:
-        """Tell a new optimiser what :meth:`state` returned.
+        """Give a new optimiser the answers from :meth:`state`.
 
         Raises:
-            UserError: if the optimiser asks for others than it did before.
+            UserError: if the optimiser asks for other individuals than before.
         """
         for row in range(len(state["fitness"]) if state else 0):
             arguments = {name: values[row] for name, values in state.items()}
@@ -65,12 +65,12 @@ class Replay:
 
 
 def resumable(optimiser: Optimiser) -> Any:
-    """Return the optimiser if it has a state of its own to resume from, else its replay."""
+    """Return the optimiser if it can save its own state, else its replay."""
     return optimiser if hasattr(optimiser, "state") else Replay(optimiser)
 
 
 class Climb(Replay):
-    """A search of one run that remembers all: a :class:`neurosim.base.generations.Stage`.
+    """A search of one run that keeps all individuals; a :class:`neurosim.base.generations.Stage`.
 
     Attributes:
         asked: [P, G] of every generation.
@@ -91,7 +91,7 @@ class Climb(Replay):
             hints: returns the optimiser's hints about it, [P, ...] by name.
 
         Raises:
-            UserError: if the optimiser wants hints, and there are none.
+            UserError: if the optimiser needs hints, and there are none.
         """
         super().__init__(optimiser)
         if self.hints and hints is None:
@@ -112,7 +112,7 @@ class Climb(Replay):
         return f"best {fitness.max():.3g}"
 
     def tell(self, fitness: NDArray[np.float64], **hints: NDArray) -> None:
-        """Take the fitness of the population asked for, and remember both."""
+        """Take the fitness of the last population, and remember both."""
         self.asked.append(self._asked.reshape(-1, self._asked.shape[-1]).copy())
         super().tell(fitness, **hints)
 
@@ -123,7 +123,7 @@ class Climb(Replay):
 
     @property
     def individuals(self) -> int:
-        """How many were evaluated so far, before an interruption or since."""
+        """Number of evaluated individuals so far, including those before an interruption."""
         return sum(map(len, self.asked))
 
     @property

@@ -20,10 +20,10 @@ class CMA:
     """CMA-ES, one search for each run."""
 
     def __init__(self, space: SearchSpace):
-        """Start where the space says, within its bounds.
+        """Begin at the space's start, within its bounds.
 
         Raises:
-            UserError: if pycma is not installed, or there is but one gene.
+            UserError: if pycma is not installed, or there is only one gene.
         """
         try:
             import cma
@@ -44,7 +44,7 @@ class CMA:
             starts = np.clip(starts, low + inside, high - inside)
         self._searches = []
         for run, start in enumerate(starts):
-            # Numbers of its own: pycma would draw from, and seed, those of the whole program.
+            # Separate random numbers: pycma would use, and seed, those of the whole program.
             numbers = np.random.default_rng([*space.seed, run])
             options["randn"] = lambda *shape, numbers=numbers: numbers.standard_normal(shape)
             self._searches.append(cma.CMAEvolutionStrategy(start, space.spread, dict(options)))

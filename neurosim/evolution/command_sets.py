@@ -2,11 +2,11 @@
 
 A chromosome has a constant number of commands, each of four genes in 0..1: whether it is null (not
 given), left and right speed, duration. Crossover pairs commands that were given in the same
-rectangle: of two parents, the n-th command that one was given in a rectangle with the n-th that
-the other was given there, wherever they stand in the two command sets. Each such pair is crossed
+rectangle: the n-th command that one parent was given in a rectangle is paired with the n-th of the
+other parent there, at any index in the two command sets. Each such pair is crossed
 by simulated binary crossover; commands without a counterpart, and null ones, pass unchanged. The
-paper leaves open how a null command is encoded, which counterparts are paired where several were
-given in a rectangle, and what mutation does.
+paper does not describe the encoding of a null command, the pairing of several commands in a
+rectangle, and mutation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PlanSettings(GeneticSettings):
     """Settings of the genetic algorithm of plans.
 
     Attributes:
-        insertion: whether null commands come back at any place, see :func:`mutate`.
+        insertion: whether null commands come back at any index, see :func:`mutate`.
     """
 
     insertion: bool = True
@@ -43,7 +43,7 @@ class PlanSettings(GeneticSettings):
 class PlanPopulation:
     """Several independent runs of a generational genetic algorithm of plans, ask and tell.
 
-    Like :class:`neurosim.evolution.GeneticAlgorithm`, with operators that know of commands.
+    Like :class:`neurosim.evolution.GeneticAlgorithm`, with operators for commands.
 
     Attributes:
         genes: [N, P, G K] in 0..1, the population of each of N runs; treat as read-only.
@@ -80,21 +80,21 @@ class PlanPopulation:
         return self.genes
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that the next generations depend on: far less than all answers."""
+        """Return all values on which the next generations depend, far less than all answers."""
         return {"genes": self.genes, "generation": np.array([self._generation])}
 
     def load(self, state: Mapping[str, NDArray]) -> None:
-        """Go on from what :meth:`state` returned.
+        """Continue from a result of :meth:`state`.
 
         Raises:
-            KeyError, ValueError: if it is the state of something else.
+            KeyError, ValueError: if it is the state of another search.
         """
         if state["genes"].shape != self.genes.shape:
             raise ValueError("the state is of another population or number of genes")
         self.genes = np.ascontiguousarray(state["genes"])
         self._generation = int(state["generation"][0])
         self._rng = np.random.default_rng(self._seed)
-        self._rng.integers(2**63, size=self._generation)  # what was drawn before
+        self._rng.integers(2**63, size=self._generation)  # drop the earlier draws
 
     def tell(self, fitness: NDArray[np.float64], keys: NDArray[np.int64]) -> None:
         """Take the fitness [N, P] of the population, the higher the better, and make the next.
@@ -153,7 +153,7 @@ def cross(a, b, keys_a, keys_b, eta, state):
         keys_a, keys_b: [K]; no key but NOT_PAIRED twice in a parent.
         eta: distribution index of simulated binary crossover, with which half of a pair's
             genes are crossed: see :func:`neurosim.evolution.operators.sbx`.
-        state: [1] uint64 of the random generator, moved on.
+        state: [1] uint64 of the random generator, advanced.
     """
     width = len(a) // len(keys_a)
     for i in range(len(keys_a)):
@@ -176,18 +176,18 @@ def cross(a, b, keys_a, keys_b, eta, state):
 def mutate(genes, width, probability, scale, insertion, state):
     """Change each gene of a plan with ``probability``, in place.
 
-    A speed or duration gets normally distributed noise or is drawn again, one as often as the
-    other. A command whose null gene is hit becomes null. One that was null comes back drawn again,
-    for what it was before has not been selected for since; with ``insertion`` at any place of the
-    plan, where the others make room: a plan that lacks a command need not have its null one there.
+    A speed or duration gets normally distributed noise or is drawn again, with equal chances. A
+    command whose null gene is hit becomes null. A null command comes back as a random one, because
+    its former values were not under selection. With ``insertion`` it comes back at any index of the
+    plan, and the others move: a missing command may belong anywhere.
 
     Args:
         genes: [G K] in 0..1.
         width: G, genes of a command.
         probability: chance of each gene.
         scale: standard deviation of the noise.
-        insertion: 1, or 0 for null commands to come back where they are.
-        state: [1] uint64 of the random generator, moved on.
+        insertion: 1; or 0: null commands come back at their own index.
+        state: [1] uint64 of the random generator, advanced.
     """
     for first in range(0, len(genes), width):
         for g in range(first + 1, first + width):
@@ -211,7 +211,7 @@ def mutate(genes, width, probability, scale, insertion, state):
 
 @njit(cache=True)
 def _move(genes, source, place, width):
-    """Move the command whose genes begin at ``source`` to ``place``; those between shift."""
+    """Move the command whose genes begin at ``source`` to ``place``; those between them shift."""
     if source < place:
         for g in range(source, place):
             genes[g] = genes[g + width]
@@ -233,7 +233,7 @@ def _pairs(population, elites):
 
 @njit(cache=True, nogil=True)
 def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, children):
-    """Fill some pairs, counted through all runs, of ``children`` [N, P, G] behind the elites."""
+    """Fill some pairs, counted through all runs, of ``children`` [N, P, G] after the elites."""
     population, width = genes.shape[1:]
     tournament, elites, insertion = counts
     crossover, mutation, scale, eta = rates
@@ -241,7 +241,7 @@ def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, child
     for job in range(first_job, last_job):
         run, pair = job // pairs, job % pairs
         state = np.empty(1, np.uint64)
-        # Streams a long way apart: the generator's own increment separates draws within one.
+        # Streams far apart: the generator's own increment separates draws within one.
         state[0] = np.uint64(seed) + np.uint64(job) * np.uint64(0xD1342543DE82EF95)
         first = _winner(fitness[run], tournament, state)
         second = _winner(fitness[run], tournament, state)
@@ -260,7 +260,7 @@ def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, child
 def decode(genes, low, high, steps, shortest, longest):
     """Return commands [B, K, C + 1] (their numbers, s) and which are given [B, K].
 
-    Rounded as they will be sent: to so many steps in a unit, and to whole milliseconds.
+    They are rounded as they will be sent: to ``steps`` in a unit, and to whole milliseconds.
 
     Args:
         genes: [B, G K] in 0..1, G = C + 2: null above 1 - NULL_FRACTION, the numbers, duration.
@@ -294,7 +294,7 @@ def pairing_keys(region, given):
     command of its plan has it. Null commands have the key NOT_PAIRED.
 
     Args:
-        region: [B, K] where the robot was when each command was given, small whole numbers.
+        region: [B, K] the robot's region when each command was given, small whole numbers.
         given: [B, K] bool.
     """
     batch, count = region.shape

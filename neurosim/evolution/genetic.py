@@ -1,6 +1,6 @@
 """The genetic algorithm of Pretorius et al. 2009 (Table 1), ask and tell.
 
-It knows only fitness: the caller asks for a population, evaluates it in any way, and tells its
+It knows only fitness: the caller asks for a population, evaluates it in any way, and returns its
 fitness.
 """
 
@@ -17,7 +17,7 @@ from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
 from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
 
-#: No population is larger.
+#: Largest size of a population.
 LARGEST = 100_000_000
 
 
@@ -25,7 +25,7 @@ LARGEST = 100_000_000
 class GeneticSettings(Checked):
     """Settings of a genetic algorithm; the defaults are Table 1 of Pretorius et al. 2009.
 
-    The paper does not say what ``eta``, ``mutation_scale`` and ``elites`` are; ``parents`` is for
+    The paper does not give ``eta``, ``mutation_scale`` and ``elites``; ``parents`` is for
     truncation selection (Lund and Miglino 1996), which it does not use.
 
     Attributes:
@@ -36,7 +36,7 @@ class GeneticSettings(Checked):
         eta: Distribution index of simulated binary crossover.
         mutation_scale: Standard deviation of a gene's change.
         elites: Best individuals that are kept unchanged: with one, the best fitness never falls.
-        parents: So many of the best have children, each as many as the others, and there are no
+        parents: Number of the best individuals that have children, equally many each, without
             tournaments; 0: tournaments.
     """
 
@@ -100,9 +100,9 @@ class GeneticAlgorithm:
         return self._population
 
     def tell(self, fitness: Tensor) -> None:
-        """Take the fitness of the population asked for, [..., P], and make the next one.
+        """Take the fitness of the last population, [..., P], and make the next one.
 
-        The higher is the better; NaN is worse than anything.
+        Higher is better; NaN is the worst.
         """
         fitness = fitness.to(self.best_fitness)
         if fitness.shape != self._population.shape[:-1]:

@@ -1,7 +1,7 @@
 """Operators of real-coded genetic algorithms, as plain functions on tensors.
 
-Every function takes its random numbers from the generator it is given, and works on the device
-of its tensors. Leading dimensions are independent runs.
+Every function draws its random numbers from the given generator, and works on the device of its
+tensors. Leading dimensions are independent runs.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ def tournament(fitness: Tensor, size: int, count: int, generator: torch.Generato
 
 
 def truncation(fitness: Tensor, best: int, count: int, generator: torch.Generator) -> Tensor:
-    """Return parents drawn from the best alone, each as often as the others, in random order.
+    """Return parents from the best individuals only, equally often each, in random order.
 
     Args:
         fitness: [..., P]; the higher is the better.
-        best: how many become parents.
-        count: parents to return; where ``best`` does not divide it, the better have one more.
+        best: number of parents.
+        count: number of indices to return; if ``best`` does not divide it, the better ones get one
+            more.
         generator: source of the order, on the device of ``fitness``.
 
     Returns:
@@ -74,8 +75,8 @@ def sbx(
         a, b: parents, [..., G].
         eta: distribution index; the larger, the nearer the children to their parents.
         generator: source of the draws.
-        gene_probability: chance that a gene is crossed; one that is not passes from each
-            parent to its child unchanged (Deb and Agrawal cross half of them).
+        gene_probability: chance that a gene is crossed; other genes pass from each parent to its
+            child unchanged (Deb and Agrawal cross half of the genes).
 
     Returns:
         Children, each [..., G].

@@ -1,7 +1,7 @@
 """The optimisers by name: ask and tell, knowing only fitness.
 
-Each is made of a :class:`~neurosim.evolution.space.SearchSpace`, and searches wherever one is
-named: in evolution and in back to reality. It is resumed by giving a new one the same answers, see
+Each is made from a :class:`~neurosim.evolution.space.SearchSpace`, and works in evolution and in
+back to reality. It is resumed by giving a new one the same answers, see
 :class:`neurosim.evolution.climb.Replay`.
 """
 
@@ -18,7 +18,7 @@ from neurosim.evolution.command_sets import PlanPopulation, PlanSettings
 from neurosim.evolution.genetic import GeneticAlgorithm, GeneticSettings
 from neurosim.evolution.space import Optimiser, SearchSpace
 
-#: By name: what takes a :class:`SearchSpace` and returns an :class:`Optimiser`.
+#: Functions by name that take a :class:`SearchSpace` and return an :class:`Optimiser`.
 OPTIMISERS = Registry(
     "optimiser",
     "neurosim.optimisers",
@@ -30,8 +30,8 @@ def make_optimiser(name: str, space: SearchSpace) -> Optimiser:
     """Return an optimiser.
 
     Raises:
-        UserError: if there is none of this name, what has it is no optimiser, or it cannot search
-            this space.
+        UserError: if the name is unknown, the object is not an optimiser, or it cannot search this
+            space.
     """
     made = OPTIMISERS.get(name)(space)
     if not isinstance(made, Optimiser):
@@ -40,7 +40,7 @@ def make_optimiser(name: str, space: SearchSpace) -> Optimiser:
 
 
 def paper_ga(space: SearchSpace) -> Optimiser:
-    """Return the genetic algorithm of the paper that the space's settings are from."""
+    """Return the genetic algorithm of the paper from which the space's settings are."""
     if isinstance(space.settings, BitSettings):
         return BitGenetic(space.start[0], space.settings, space.seed)
     if isinstance(space.settings, PlanSettings):
@@ -63,5 +63,5 @@ class RealCoded:
         return self._algorithm.ask().numpy()
 
     def tell(self, fitness: NDArray[np.float64]) -> None:
-        """Take its fitness [N, P] and make the next."""
+        """Take the population's fitness [N, P] and make the next population."""
         self._algorithm.tell(torch.as_tensor(fitness))

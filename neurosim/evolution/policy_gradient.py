@@ -35,14 +35,14 @@ class PolicySettings(Checked):
 
 
 def gradient(signs: NDArray[np.int64], scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the direction [G] in which to go, of length 1, or zeros.
+    """Return the direction [G] of the step, of length 1, or zeros.
 
     Args:
-        signs: [m, G] of how each policy differs in each parameter: 1, 0 or -1.
+        signs: [m, G] difference of each policy in each parameter: 1, 0 or -1.
         scores: [m] of the policies.
 
-    A parameter that no policy raised, or none lowered, says nothing. One that none left alone has
-    no middle to be best.
+    A parameter that no policy raised, or that none lowered, gets 0. If every policy changed a
+    parameter, the case without change is left out.
     """
     slope = np.zeros(signs.shape[1])
     for place, column in enumerate(signs.T):

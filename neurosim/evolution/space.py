@@ -23,7 +23,7 @@ class SearchSpace:
         settings: of the genetic algorithm. Other optimisers need not know them.
         spread: standard deviation of the first population around the start, in every gene.
         bounds: lowest and highest of every gene, or None.
-        population: how many individuals there should be; None: as the optimiser likes.
+        population: number of individuals; None: the optimiser chooses.
         given: [N, P, G] first populations, or None; see :meth:`first`.
     """
 
@@ -37,16 +37,16 @@ class SearchSpace:
 
     @property
     def runs(self) -> int:
-        """How many independent runs there are."""
+        """Number of independent runs."""
         return len(self.start)
 
     @property
     def genes(self) -> int:
-        """How many genes an individual has."""
+        """Number of genes of an individual."""
         return self.start.shape[1]
 
     def first(self) -> NDArray[np.float64]:
-        """Return first populations [N, P, G]: those that are given, else drawn around the start."""
+        """Return first populations [N, P, G]: the given ones, else random ones around the start."""
         if self.given is not None:
             return self.given
         shape = self.runs, self.settings.population, self.genes
@@ -61,15 +61,15 @@ class Optimiser(Protocol):
     """An optimiser, which asks for populations and gets their fitness; one run or N at once.
 
     An optimiser of your own needs ``ask`` and ``tell``, and all its random numbers from the seed.
-    Two things may be there besides: ``hints``, names of what else ``tell`` takes as keywords
-    (``keys``, by which crossover of plans pairs commands), and ``state()`` with ``load(state)``,
-    arrays by name, where these are smaller than all its answers.
+    Two parts are optional: ``hints``, names of further keywords of ``tell`` (``keys``, by which
+        crossover of plans pairs commands), and ``state()`` with ``load(state)``, arrays by name, if
+        these are smaller than all its answers.
     """
 
     def ask(self) -> Any:
-        """Return the population to evaluate: [P, G], or [N, P, G] of N runs."""
+        """Return the population to evaluate: [P, G], or [N, P, G] for N runs."""
         ...
 
     def tell(self, fitness: NDArray[np.float64], *args: Any, **hints: Any) -> None:
-        """Take the fitness [P] or [N, P] of the population asked for, the higher the better."""
+        """Take the fitness [P] or [N, P] of the last population, the higher the better."""
         ...

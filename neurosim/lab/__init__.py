@@ -1,6 +1,6 @@
 """The virtual lab: robots, their boards and arenas and a roof camera in software.
 
-They are reached as real ones are: by a serial line, and by the frames of a camera.
+They are reached like real ones: by a serial line, and by the frames of a camera.
 """
 
 from neurosim.lab.khepera.params import KheperaParams

@@ -12,22 +12,22 @@ from neurosim.robots.base import Clock
 
 
 class Firmware(Protocol):
-    """Takes bytes as they come, and gives the robot's answers."""
+    """Takes bytes in pieces of any size, and gives the robot's answers."""
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes; return the answers to the commands that are whole."""
+        """Take bytes; return the answers to complete commands."""
         ...
 
 
 class SerialCable:
-    """Carries bytes to the firmware and back, in the time of the lab that the line takes.
+    """Carries bytes to the firmware and back, in the lab's time as slowly as a serial line.
 
-    One direction at a time: an answer leaves when its command has come, the next command is
-    taken when the answer has left.
+    One direction at a time: an answer leaves after its command has arrived; the next command is
+        taken after the answer has left.
 
     Args:
         firmware: the answering object.
-        clock: the lab's.
+        clock: the lab's clock.
         byte: time that a byte takes, s.
     """
 
@@ -37,7 +37,7 @@ class SerialCable:
         self.silent = False
 
     def exchange(self, data: bytes) -> bytes:
-        """Return all answers to what came, once the clock has reached their end."""
+        """Return all answers to the received bytes after the clock has reached their end."""
         answers = b""
         for command in _commands(data):
             self._clock.sleep_until(self._clock.now() + len(command) * self._byte)
@@ -98,11 +98,11 @@ class SocketCable(SocketEnd):
 
 
 def serve_cable(cable: SerialCable, device: str | None, port: int) -> PtyCable | SocketCable:
-    """Return the server of a robot: a pseudo-terminal, or a socket where there are none.
+    """Return the server of a robot: a pseudo-terminal, or a socket if the system has none.
 
     Args:
         cable: to the robot.
-        device: ``pty``, ``socket``, or None for whichever the system has.
+        device: ``pty``, ``socket``, or None for the one that the system has.
         port: of the socket; 0 for any free one.
     """
     if device != "socket":
@@ -123,7 +123,7 @@ def address_of(server: PtyCable | SocketCable) -> str:
 
 
 def _commands(data: bytes) -> list[bytes]:
-    """Cut bytes behind every CR and LF."""
+    """Cut bytes after every CR and LF."""
     pieces, begin = [], 0
     for place, byte in enumerate(data):
         if byte in b"\r\n":

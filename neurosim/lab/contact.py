@@ -1,4 +1,4 @@
-"""Walls and obstacles of the lab: where a robot runs into them, and how far away they are."""
+"""Walls and obstacles of the lab: contacts of a robot with them, and their distances."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def hit(x, y, cos, sin, walls, cylinders):
         cylinders: [N, 3] m.
 
     Returns:
-        Infinity and 0 where there is nothing.
+        Infinity and 0 if there is none.
     """
     best, incidence = np.inf, 0.0
     for i in range(walls.shape[0]):
@@ -77,10 +77,10 @@ def hit(x, y, cos, sin, walls, cylinders):
 
 @njit(cache=True)
 def distances(origins, directions, walls, cylinders):
-    """Return how far away the nearest surface is along rays, [N] m; infinity: there is none.
+    """Return the distance of the nearest surface along rays, [N] m; infinity: there is none.
 
     Args:
-        origins: [N, 2] where they begin, m.
+        origins: [N, 2] of the rays, m.
         directions: [N] rad.
         walls: [W, 4] m.
         cylinders: [N, 3] m.

@@ -1,4 +1,4 @@
-"""The common part of all virtual robots on the board: how they are put there, and their lab."""
+"""The common part of all virtual robots on the board: their start and their lab."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.world import Lab
 from neurosim.lab.server import Served
 
-#: How well a person puts a robot down at a mark: standard deviations, m and rad.
+#: A person's error in placing a robot at a mark: standard deviations, m and rad.
 PLACING = (0.003, math.radians(0.5))
 
 
@@ -23,12 +23,13 @@ class OnBoard(TypedDict, total=False):
     """Keywords of the rigs on the board.
 
     Attributes:
-        noise_seed: of everything that differs from one session to the next (0).
-        start: where a person tries to put the robot, m, m, rad, board frame (its middle).
+        noise_seed: of all differences between sessions (0).
+        start: the pose at which a person tries to place the robot, m, m, rad, board frame (its
+            middle).
         camera: whether there is a camera (True).
         camera_size: its frames, (width, height) in pixels (640, 480).
         fps: frames per second (30).
-        around: the place: what lies and stands on the floor (only the board).
+        around: the place: lines and objects on the floor (only the board).
     """
 
     noise_seed: int
@@ -42,7 +43,7 @@ class OnBoard(TypedDict, total=False):
 def put_down(
     start: tuple[float, float, float], rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Return where a robot stands that a person tried to put at ``start`` (m, m, rad)."""
+    """Return the pose of a robot that a person tried to place at ``start`` (m, m, rad)."""
     spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
     x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
     return float(x), float(y), float(theta)
@@ -68,14 +69,14 @@ class BoardRig(Served):
         robot_seed: int,
         **board: Unpack[OnBoard],
     ) -> tuple[Any, int]:
-        """Put a robot into a lab of its own.
+        """Make a lab with a robot in it.
 
         Args:
             robot: its name in descriptions.
-            stream: of the random numbers: another one for each kind of robot.
-            body_of: makes its body of robot_seed and a seed of its noise; None for an NXT's.
-            robot_seed: which robot and which board.
-            **board: as :class:`OnBoard` has them.
+            stream: of the random numbers; each kind of robot has its own.
+            body_of: makes its body from robot_seed and a seed of its noise; None for an NXT's.
+            robot_seed: number of robot and board.
+            **board: see :class:`OnBoard`.
 
         Returns:
             The body and the seed of its noise.
@@ -100,9 +101,9 @@ class BoardRig(Served):
         return body, seed
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings that make the same lab again."""
+        """Return settings from which the same lab can be made again."""
         return dict(self._about)
 
     def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth next to a recording, under ``truth``, which no learner reads."""
+        """Write the lab's truth into a recording, under ``truth``, which no learner reads."""
         self.lab.write_truth(folder, session)

@@ -1,4 +1,4 @@
-"""Threads behind which a virtual robot stands: one on a pseudo-terminal, one on a socket."""
+"""Threads that serve a virtual robot on a pseudo-terminal or on a socket."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Self
 
 from neurosim.base.errors import RobotError
 
-#: A client that does not read for so many seconds is left (s).
+#: Time after which a client that does not read is left (s).
 SEND_WITHIN = 0.5
 
 
 class Server:
-    """A thread that reads from one place at a time and can be stopped at once.
+    """A thread that reads from one source and can be stopped at once.
 
-    ``error`` is what ended it before its time (the lab runs in it), or None.
+    ``error`` is the exception that ended it (the lab runs in this thread), or None.
     """
 
     def __init__(self) -> None:
@@ -38,13 +38,13 @@ class Server:
         try:
             self._serve()
         except BaseException as error:
-            # Told by whoever owns the lab; a thread can only print it.
+            # The owner of the lab raises it; a thread could only print it.
             self.error = error
         finally:
             self._close()
 
     def _wait(self, readable: int | socket.socket, seconds: float | None) -> bool:
-        """Return True when there is something to read, False when time or the server ends."""
+        """Return True when there are bytes to read, False when time or the server ends."""
         ready, _, _ = select.select([readable, self._wake_read], [], [], seconds)
         return readable in ready and not self._stopping
 
@@ -60,7 +60,7 @@ class Server:
             self._wake_write.send(b"\0")
 
     def hang_up(self) -> None:
-        """Close the line as a brick does whose battery falls out."""
+        """Close the line, like a brick that loses its battery."""
         self.stop()
 
     def __enter__(self) -> Server:
@@ -76,7 +76,7 @@ class PtyEnd(Server):
     A client may close it and another open it again.
 
     Raises:
-        RobotError: where the system has no pseudo-terminals (Windows), or none is left.
+        RobotError: if the system has no pseudo-terminals (Windows), or none is free.
     """
 
     def __init__(self) -> None:
@@ -177,24 +177,24 @@ def send(client: socket.socket, data: bytes) -> bool:
 
 
 class Served:
-    """A virtual robot behind its line; ``with`` takes the line down at the end."""
+    """A virtual robot behind its line; ``with`` closes the line at the end."""
 
     _server: Server
 
     @property
     def alive(self) -> bool:
-        """Whether the line still stands."""
+        """Whether the line is still open."""
         return self._server.error is None
 
     def close(self) -> None:
-        """Take the line down."""
+        """Close the line."""
         self._server.stop()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close; an error inside the lab (a full disk) is raised rather than a lost link."""
+        """Close; an error inside the lab (a full disk) is raised instead of a lost link."""
         self.close()
         if self._server.error is not None:
             raise self._server.error

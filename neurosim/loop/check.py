@@ -22,7 +22,7 @@ from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 
-#: Of a controller that sees, the spread is given at so many times.
+#: Number of times at which a closed-loop controller's spread is given.
 _TIMES = 10
 
 
@@ -31,9 +31,9 @@ class Failure:
     """A way in which random samples failed.
 
     Attributes:
-        command: during which given command, from 1; one more than there are: while the motors
-            ran down after the last.
-        reason: what the robot did, in the task's words.
+        command: number of the given command, from 1; one more than the last: while the motors
+            stopped.
+        reason: the robot's mistake, in the task's words.
         fraction: of all samples.
     """
 
@@ -48,17 +48,17 @@ class Check:
 
     Attributes:
         probability: fraction of samples that complete the task.
-        interval: 95 % confidence interval of that fraction, as far as the number of draws goes.
-        members: lowest and highest fraction among the members of the simulator's ensemble: how
-            uncertain the simulator itself is; None where there is one member.
+        interval: 95 % confidence interval of that fraction, by the number of draws.
+        members: lowest and highest fraction among the members of the simulator's ensemble, a
+            measure of the simulator's uncertainty; None if there is one member.
         draws: samples drawn.
         fitness: mean fitness of a start's samples.
         failures: the ways to fail, the most frequent first.
-        after: the command (from 1) after which each of ``spread`` and ``turn`` is; the last is at
-            the end of the trial.
+        after: numbers of the commands (from 1) to which ``spread`` and ``turn`` belong; the last
+            one is the end of the trial.
         spread: radius (m) about the mean position that holds 95 % of the samples.
         turn: standard deviation of the heading, likewise, rad.
-        unsupported: fraction of the time in commands unlike any that the simulator was made from.
+        unsupported: fraction of the time in commands unlike any in the simulator's data.
     """
 
     probability: float
@@ -73,7 +73,7 @@ class Check:
     unsupported: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it for JSON, in SI units."""
+        """Return the result for JSON, in SI units."""
         return asdict(self)
 
 
@@ -92,17 +92,17 @@ def check(
     Args:
         controller: a saved controller, or its folder.
         simulator: a simulator with noise or an ensemble, or its folder.
-        task: a task or its name; by default the one that the controller was made for.
-        draws: how many samples.
+        task: a task or its name; by default the controller's own.
+        draws: number of samples.
         seed: random seed.
         placing: error in placing the robot: standard deviations in x and y (m), in heading
             (rad).
-        extrapolate: whether commands of a plan may lie outside the simulator's domain; they count
-            as unsupported then.
+        extrapolate: whether a plan's commands may be outside of the simulator's domain, where they
+            count as unsupported.
 
     Raises:
-        UserError: if controller or simulator cannot be read or do not fit each other, nothing is
-            uncertain in the simulator, or a plan's command lies outside of its domain.
+        UserError: if controller or simulator cannot be read or do not fit each other, the simulator
+            has no uncertainty, or a plan's command is outside of its domain.
 
     Example:
         >>> ns.evolve("tables", "obstacle-avoidance", out="new", generations=2, progress=False)
@@ -169,7 +169,7 @@ def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
 def _spread(
     trajectory: Trajectory, open_loop: bool
 ) -> tuple[tuple[int, ...], tuple[float, ...], tuple[float, ...]]:
-    """Return after which commands, and 95 % radius and standard deviation of the heading then."""
+    """Return numbers of commands, and the 95 % radius and the heading's deviation after each."""
     assert trajectory.poses is not None
     poses = trajectory.poses[0, :, 1:]
     after = np.arange(poses.shape[1])

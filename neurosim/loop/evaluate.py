@@ -36,11 +36,11 @@ from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 
-#: Trajectories that are driven at once hold at most so many poses: so few that what closed loops
-#: of a usual size do stays near the processor.
+#: Largest number of poses of trajectories computed at once, so that closed loops of usual size stay
+#: in the processor's cache.
 POSES_AT_ONCE = 500_000
 SEEING_AT_ONCE = 110_000
-#: Fewer steps than this take a core about a millisecond: less than sharing them out may cost.
+#: Fewer steps than this take a core about a millisecond, less than their distribution may cost.
 _WORTH_SHARING = 10_000
 
 
@@ -51,8 +51,8 @@ class Evaluator:
         simulator, task, controller: the three; the task ends trials at the simulator's perimeter.
         placing: error in placing the robot where a trial starts at a mark: standard
             deviations in x and y (m) and in heading (rad); for random samples alone.
-        rollouts: what drives them: the simulator's own compiled ones, or step by step.
-        workers: who judges the parts of a population; None: this process.
+        rollouts: the simulator's own compiled rollouts, or stepped ones.
+        workers: those that judge the parts of a population; None: this process.
     """
 
     def __init__(
@@ -69,12 +69,12 @@ class Evaluator:
 
         Args:
             simulator, task, controller, placing: see the class.
-            stepped: whether to go step by step though there are compiled rollouts.
+            stepped: whether to use stepped rollouts even if compiled ones exist.
             workers: see :func:`neurosim.loop.workers.workers_named`.
 
         Raises:
-            UserError: if one needs something that another lacks: commands, sensors, goals; or
-                there are no such workers.
+            UserError: if one needs commands, sensors or goals that another lacks; or if the workers
+                do not exist.
         """
         simulator = task.placed(simulator)
         task = task.within_perimeter(simulator.perimeter)
@@ -88,16 +88,16 @@ class Evaluator:
         self.workers = workers_named(workers)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
-        """Return start poses [count, 3], and whether they were drawn by the task."""
+        """Return start poses [count, 3], and whether the task drew them."""
         return draw_starts(self.simulator, self.task, count, rng)
 
     def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
-        """Draw the samples of so many trials, each from as many starts as the task says.
+        """Draw the samples of some trials, each from the task's number of starts.
 
         Args:
-            trials: the task's ``trial_starts`` times as many samples are drawn.
-            rng: source of all that is drawn, or a seed.
-            repeats: every start is met so often, each time with other noise.
+            trials: their number; ``trial_starts`` of the task times as many samples are drawn.
+            rng: source of all random numbers, or a seed.
+            repeats: number of samples of every start, each with other noise.
         """
         own = np.random.default_rng(rng) if isinstance(rng, int) else rng
         starts, by_task = self.starts(trials * self.task.trial_starts, own)
@@ -107,7 +107,7 @@ class Evaluator:
         )
 
     def expectation(self, seed: int = 0) -> Draws:
-        """Return samples without any noise: the mean, from the task's start or starts."""
+        """Return samples without noise: the mean, from the task's start or starts."""
         starts, _ = self.starts(self.task.trial_starts, np.random.default_rng(seed))
         member = np.full(len(starts), -1) if self.simulator.members > 1 else None
         return Draws(starts, member)
@@ -142,11 +142,11 @@ class Evaluator:
             genes: a row for each individual.
             draws: the samples.
             objective: one of :data:`neurosim.loop.objectives.OBJECTIVES`.
-            hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
+            hints: further values that the optimiser needs of each individual: ``keys`` [P, K], by
                 which crossover of plans pairs commands.
-            unsupported: who spends a larger fraction of the time than this in commands unlike any
-                that the simulator was made from ranks behind all others, as far as the simulator
-                knows of gaps; None: nobody does.
+            unsupported: individuals with a larger fraction of the time in commands unlike any in
+                the simulator's data rank last, if the simulator knows its gaps; None: no such
+                limit.
         """
         how = objective, tuple(hints), unsupported
         cut = (genes[part] for part in self._parts(len(genes), len(draws)))
@@ -177,10 +177,10 @@ class Evaluator:
 
     @uninterrupted()
     def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
-        """Return the fraction [P] of the time that individuals spent in unsupported commands.
+        """Return the fraction [P] of the individuals' time in unsupported commands.
 
-        Those are unlike any that the simulator was made from (:meth:`Simulator.supported`); the
-        stop at the end of a trial does not count.
+        They are unlike any in the simulator's data (:meth:`Simulator.supported`); the stop at the
+        end of a trial does not count.
         """
         commands, active = trajectory.commands, trajectory.active
         durations, shape = trajectory.durations, commands.shape[:-1]
@@ -198,7 +198,7 @@ class Evaluator:
         return _fraction(*(part.reshape(rows) for part in (supported, durations, active)))
 
     def _parts(self, individuals: int, samples: int) -> Iterator[slice]:
-        """Cut individuals into parts whose trajectories are driven at once."""
+        """Cut individuals into parts whose trajectories are computed at once."""
         at_once, steps = SEEING_AT_ONCE, self.episode.steps
         if self.controller.open_loop:
             at_once, steps = POSES_AT_ONCE, self.steps
@@ -207,14 +207,14 @@ class Evaluator:
 
     @cached_property
     def steps(self) -> int:
-        """How many steps a trial has, the stop at its end included."""
+        """Number of steps of a trial, including the stop at its end."""
         return trial_steps(self.controller, self.episode)
 
     @contextmanager
     def threads_for(self, individuals: int) -> Iterator[None]:
         """Keep little work on one core.
 
-        Where a simulator is stepped in PyTorch there is too little in a step to be shared out.
+        Steps of a simulator in PyTorch are too small to be distributed.
         """
         work = individuals * (self.steps - (self.episode.rest > 0))
         with one_core(work < _WORTH_SHARING), one_thread():
@@ -229,7 +229,7 @@ class Evaluator:
         return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
 
 
-#: What an optimiser may want to know of individuals besides their merit, by name.
+#: Further values of individuals that an optimiser may need, by name.
 _HINTS = {"keys": Evaluator._keys}
 
 
@@ -249,7 +249,7 @@ def _fraction(supported: NDArray, durations: NDArray, active: NDArray) -> NDArra
 
 
 def with_contacts(simulator: Simulator, trajectory: Trajectory) -> Trajectory:
-    """Return a simulated trajectory that says when the robot touched something."""
+    """Return a simulated trajectory with the robot's contacts."""
     assert trajectory.poses is not None
     return replace(trajectory, touching=simulator.touching(trajectory.poses[..., 1:, :]))
 
@@ -257,7 +257,7 @@ def with_contacts(simulator: Simulator, trajectory: Trajectory) -> Trajectory:
 def rollouts_of(
     simulator: Simulator, controller: Controller, episode: Episode, *, stepped: bool = False
 ) -> Rollouts:
-    """Return the simulator's own compiled rollouts, else those that go step by step."""
+    """Return the simulator's own compiled rollouts, or else stepped ones."""
     compiled = None if stepped else simulator.rollouts(controller, episode)
     return compiled or SteppedRollouts(simulator, controller, episode)
 
@@ -265,7 +265,7 @@ def rollouts_of(
 def draw_starts(
     simulator: Simulator, task: Task, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], bool]:
-    """Return start poses [count, 3] of a task, and whether they were drawn by it."""
+    """Return start poses [count, 3] of a task, and whether the task drew them."""
     starts = task.draw_starts(simulator, count, rng)
     if starts is None:
         return np.tile(np.asarray(task.start, np.float64), (count, 1)), False
@@ -273,7 +273,7 @@ def draw_starts(
 
 
 def check_readings(simulator: Simulator, task: Task) -> None:
-    """Refuse a simulator without the sensors that a task needs.
+    """Raise an error for a simulator without the sensors that a task needs.
 
     Raises:
         UserError: if it has none.
@@ -286,7 +286,7 @@ def check_readings(simulator: Simulator, task: Task) -> None:
 
 
 def _check_columns(simulator: Simulator, controller: Controller) -> None:
-    """Refuse a controller whose outputs are not the simulator's commands."""
+    """Raise an error for a controller whose outputs are not the simulator's commands."""
     wanted, given = tuple(simulator.command_names), tuple(controller.outputs)
     if not controller.open_loop:
         wanted = tuple(name for name in wanted if name != "duration")
@@ -306,7 +306,7 @@ class Fitness:
 
     @property
     def genes(self) -> int:
-        """How many genes an individual has."""
+        """Number of genes of an individual."""
         return self.evaluator.controller.genes
 
     def __call__(self, genes: Any) -> Any:
@@ -315,7 +315,7 @@ class Fitness:
         NumPy arrays (or lists) give NumPy, tensors give tensors.
 
         Raises:
-            UserError: if there are not as many genes as the controller has, or one is not finite.
+            UserError: if the number of genes is wrong, or one is not finite.
         """
         rows, single = self._rows(genes)
         slow = None if self._called else compiling_notice("the first evaluation")
@@ -330,11 +330,11 @@ class Fitness:
         return torch.as_tensor(fitness) if isinstance(genes, Tensor) else fitness
 
     def unsupported(self, genes: Any) -> Any:
-        """Return the fraction [P] of the time in commands unlike any that were recorded, or of one.
+        """Return the fraction [P] of the time in commands unlike any that were recorded.
 
-        A fitness that comes of many such commands is a guess. It is a fraction of the time of the
-        controller's commands in these samples; of a simulator that does not say where nothing was
-        recorded, commands outside of its ranges count.
+        A fitness from many such commands is a guess. The fraction is of the time of the
+        controller's commands in these samples. For a simulator that does not know its gaps,
+        commands outside of its ranges count.
 
         Raises:
             UserError: as for the fitness.
@@ -346,7 +346,7 @@ class Fitness:
         return torch.as_tensor(unsupported) if isinstance(genes, Tensor) else unsupported
 
     def _rows(self, genes: Any) -> tuple[NDArray[np.float64], bool]:
-        """Return genes as rows, and whether there was but one."""
+        """Return genes as rows, and whether there was a single one."""
         given = genes.detach().cpu() if isinstance(genes, Tensor) else genes
         try:
             rows = np.asarray(given, np.float64)
@@ -364,7 +364,7 @@ class Fitness:
 def joined(
     simulator: str | Path | Simulator, task: str | Task, controller: str | Controller | None
 ) -> tuple[Simulator, Task, Controller]:
-    """Return simulator, task and controller, each of them given itself or by name.
+    """Return simulator, task and controller, each given as an object or by name.
 
     Args:
         simulator: a simulator or its folder.
@@ -372,7 +372,7 @@ def joined(
         controller: the family or its kind; None: the task's usual one.
 
     Raises:
-        UserError: if one of them is not there or something else.
+        UserError: if one of them is missing or of a wrong type.
     """
     simulator, task = simulator_of(simulator), make_task(task)
     if controller is None:
@@ -397,24 +397,23 @@ def evaluate(
     seed: int = 0,
     workers: Name = "local",
 ) -> Fitness:
-    """Return the function that gives the fitness of genes: what any optimiser needs.
+    """Return the function that gives the fitness of genes, for any optimiser.
 
     Args:
-        simulator: where controllers are tried: a simulator or its folder.
-        task: what counts as good: the task or its name.
+        simulator: a simulator or its folder.
+        task: the task or its name.
         controller: the family whose genes are judged, or its kind; by default the task's usual one.
-        samples: trials that each individual is tried in, drawn once and met by all alike; 0:
-            the expected motion, without noise.
+        samples: number of random trials of each individual, drawn once and the same for all; 0: the
+            expected motion, without noise.
         objective: ``fitness``, ``probability`` of success, or ``progress``, a fitness without
             steps.
         placing: error in placing the robot: standard deviations, m and rad.
         seed: of the draws.
-        workers: who judges: local, this process; or ray, the workers of a Ray cluster. The
-            fitness is the same.
+        workers: local, this process; or ray, the workers of a Ray cluster. The fitness is the same.
 
     Raises:
-        UserError: if one of the three needs something that another lacks, or samples are asked
-            of a simulator in which nothing is uncertain.
+        UserError: if one of the three needs something that another lacks, or samples are drawn in a
+            simulator without uncertainty.
 
     Example:
         >>> fitness = ns.evaluate("tables", "obstacle-avoidance", "network")

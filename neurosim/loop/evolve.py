@@ -1,8 +1,8 @@
 """From a simulator to controllers: any simulator, task, controller and optimiser.
 
-Evolution has a first stage, on the expected motion or over samples drawn again, and may go
-on robustly: over random samples from the first stage's populations. While it runs,
-``OUT.checkpoint`` holds what an interrupted evolution goes on from.
+Evolution has a first stage, on the expected motion or over new samples. A robust stage may follow,
+over random samples, from the first stage's populations. While it runs, ``OUT.checkpoint`` holds the
+state from which an interrupted evolution is resumed.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from neurosim.tasks.base import Task
 
 
 class Evolution:
-    """An evolution under way, its stages one after the other.
+    """A running evolution, whose stages follow one another.
 
     Attributes:
         stages: the searches in the simulator so far.
-        real: the generations in reality, once they have begun.
+        real: the generations in reality, after they have begun.
     """
 
     def __init__(
@@ -59,14 +59,13 @@ class Evolution:
 
         Args:
             evaluator: judges in the simulator.
-            settings: how.
+            settings: of the evolution.
             seed: random seed.
-            real_generations: how many there are in reality after the simulator.
+            real_generations: number of generations in reality after the simulator.
 
         Raises:
-            UserError: if robust controllers are asked of a simulator in which nothing is
-                uncertain, the optimiser does not exist, or plans may leave what the simulator was
-                made from.
+            UserError: if robust controllers are to evolve in a simulator without uncertainty, the
+                optimiser does not exist, or plans may leave the range of the simulator's data.
         """
         self.evaluator, self.settings, self._seed = evaluator, settings, seed
         self._real_generations = real_generations
@@ -106,7 +105,7 @@ class Evolution:
         """Run all stages; return whether Ctrl-C ended them early.
 
         Args:
-            checkpoint: where the stages in the simulator are kept.
+            checkpoint: for the stages in the simulator.
             progress: whether to show progress on stderr.
             journal: of the trials in reality.
             scalars: for curves of the best and the mean.
@@ -137,7 +136,7 @@ class Evolution:
         return ended(self.stages[1], settings.robust.generations, "making it robust")
 
     def _run_real(self, journal: Journal, progress: bool, curves: Scalars) -> None:
-        """Run the generations in reality; Ctrl-C is answered at once, trial by trial."""
+        """Run the generations in reality; Ctrl-C is handled at once, trial by trial."""
         total = self._real_generations
         self.real = Transfer(self.stages[0].optimiser, journal, self.evaluator)
         with Progress("in reality", total, "generations") if progress else nullcontext() as bar:
@@ -154,9 +153,9 @@ class Evolution:
         self.stages[1:] = [self.robust_stage(first.top, np.asarray(first.optimiser.ask()))]
 
     def robust_stage(self, best: NDArray, population: NDArray) -> Search:
-        """Go on robustly from the best [N, G] and the populations [N, P, G] of the first stage.
+        """Begin the robust stage with the best [N, G] and the populations [N, P, G] of the first.
 
-        Runs that have found nothing that completes the task get what others have found.
+        Runs without an individual that completes the task get those of other runs.
         """
         robust, evaluator = self.settings.robust, self.evaluator
         assert robust is not None
@@ -182,7 +181,7 @@ class Evolution:
         )
 
     def best(self) -> NDArray[np.float64]:
-        """Return the best individual of each run, [N, G]: of random samples, on fresh ones."""
+        """Return the best individual of each run, [N, G], chosen on new random samples."""
         stage, settings, evaluator = self.stages[-1], self.settings, self.evaluator
         if self.real is not None and self.real.done:
             draws, candidates = self._selection(evaluator)[0], self.real.candidates()
@@ -201,10 +200,10 @@ class Evolution:
         return stage.choose(self._selection(self._searched)[0])
 
     def _selection(self, evaluator: Evaluator) -> tuple[Any, Any]:
-        """Return samples on which the best is chosen, and others from the same starts."""
+        """Return samples for choosing the best, and others from the same starts."""
         rng = np.random.default_rng([self._seed, 1])
         each = evaluator.task.trial_starts
-        count = -(-self.settings.selection // each) * each  # of whole trials
+        count = -(-self.settings.selection // each) * each  # a number of whole trials
         starts, by_task = evaluator.starts(count, rng)
         repeats = repeats_of(self.settings.objective) if evaluator.simulator.uncertain else 1
         placing = None if by_task else evaluator.placing
@@ -217,14 +216,14 @@ class Evolution:
         made_in: Mapping[str, Any] | None = None,
         about: Mapping[str, Any] | None = None,
     ) -> list[SavedController]:
-        """Return the best of every run, the best first.
+        """Return the best of every run, in order of merit.
 
         Args:
             interrupted: whether evolution was stopped before its last generation.
-            made_in: names the simulator.
-            about: of the evolution, in addition to ``run``, ``interrupted`` and ``history``: best
-                and mean of every generation; after robust evolution also ``robust_best`` and
-                ``robust_mean``, of what it maximised.
+            made_in: the simulator's path and checksum.
+            about: further entries about the evolution, in addition to ``run``, ``interrupted`` and
+                ``history``: best and mean of every generation; after robust evolution also
+                ``robust_best`` and ``robust_mean`` of its objective.
         """
         evaluator, settings, task = self.evaluator, self.settings, self.evaluator.task
         best = self.best()
@@ -279,7 +278,7 @@ class Evolution:
         return history
 
     def _sampled(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
-        """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
+        """Return fitness and success [R], and the unsupported fraction, of each run's best."""
         evaluator, settings = self._searched, self.settings
         if not evaluator.simulator.uncertain:
             return None
@@ -300,13 +299,13 @@ class Evolution:
         if limit is not None and self.evaluator.simulator.knows_gaps:
             inside = one.predicted["unsupported"] <= limit
         if robust is None:
-            # Who knows one arena best may know that arena only.
+            # The best in one arena may be good in that arena only.
             return inside, one.predicted.get("unmet", one.predicted)["fitness"]
         name = "expected_fitness" if robust.objective == "fitness" else "probability"
         return inside, one.predicted[name]
 
     def state(self) -> dict[str, Any]:
-        """Return all that the next generations depend on, as arrays."""
+        """Return as arrays all values on which the next generations depend."""
         return {
             f"stage{number}.{name}": value
             for number, stage in enumerate(self.stages)
@@ -314,11 +313,11 @@ class Evolution:
         }
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from what :meth:`state` returned.
+        """Continue from a result of :meth:`state`.
 
         Raises:
-            KeyError, ValueError: if it is the state of something else.
-            UserError: if the optimiser asks for others than it did before.
+            KeyError, ValueError: if it is the state of another search.
+            UserError: if the optimiser asks for other individuals than before.
         """
         self.stages[0].load(part_of(state, "stage0."))
         if robust := part_of(state, "stage1."):
@@ -327,10 +326,10 @@ class Evolution:
 
 
 def _check_reach(evaluator: Evaluator) -> None:
-    """Refuse plans whose slowest or fastest commands lie outside of what the simulator knows.
+    """Raise an error for plans whose slowest or fastest commands leave the simulator's domain.
 
     Raises:
-        UserError: saying which command, and what the simulator knows.
+        UserError: with the command and the simulator's ranges.
     """
     controller = evaluator.controller
     if not controller.open_loop:
@@ -341,9 +340,9 @@ def _check_reach(evaluator: Evaluator) -> None:
 
 
 def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, NDArray]:
-    """Return the poses of one individual's expected path, and the last.
+    """Return the poses of an individual's expected path, and the last pose.
 
-    Those of a plan are where its given commands begin and end.
+    Those of a plan are at the beginning and the end of its given commands.
     """
     poses = trajectory.poses[run, 0]
     if evaluator.controller.open_loop:
@@ -354,7 +353,7 @@ def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, N
 
 
 def check_uncertain(simulator: Simulator) -> None:
-    """Refuse a simulator whose random samples would all be the same.
+    """Raise an error for a simulator whose random samples would all be the same.
 
     Raises:
         UserError: saying so.
@@ -395,18 +394,19 @@ def evolve(
         task: the task or its name.
         controller: the family or its kind; by default a plan for a task whose fitness needs no
             sensors, else a network of what the simulator senses.
-        out: folder of the new controller; with ``keep_all`` there is one for each run, OUT-01 and
-            on. None: nothing is written.
-        settings: how; by default as in the paper that the controller is from.
-        source: the folder of a simulator that is given itself, to be named in the controller.
+        out: folder of the new controller; with ``keep_all`` there is one for each run, OUT-01,
+            OUT-02 ... None: nothing is written.
+        settings: of the evolution; by default those of the controller's paper.
+        source: the folder of a simulator that is given as an object, to be named in the controller.
         seed: random seed.
-        keep_all: write the best of every run, not only the best of all.
-        resume: go on with the interrupted evolution of ``out``.
+        keep_all: whether to write the best of every run, not only the best of all.
+        resume: whether to continue the interrupted evolution of ``out``.
         options: kept in the checkpoint, for resuming.
-        reality: where evolution goes on after the simulator (Lund and Miglino 1996), or None.
-        real_generations: how many generations there.
+        reality: a reality in which evolution continues after the simulator (Lund and Miglino 1996),
+            or None.
+        real_generations: number of generations there.
         ask: asks a person to do something, and returns when it is done.
-        patience: a trial in reality that takes longer is given up, s.
+        patience: longest time of a trial in reality, s.
         progress: whether to show progress on stderr.
         workers: Where controllers are evaluated: local, in this process; or ray, on a Ray cluster.
             The result is the same.
@@ -417,9 +417,9 @@ def evolve(
         The best of every run, the best first.
 
     Raises:
-        UserError: if they do not fit each other, something stands at ``out``, or what is to be
-            resumed is not there or was begun with other settings.
-        RobotError: if the robot was lost; the best controller so far is at ``out``.
+        UserError: if they do not fit each other, ``out`` exists already, or the evolution to be
+            resumed does not exist or was begun with other settings.
+        RobotError: if the robot was lost; the best controller so far is in ``out``.
 
     Example:
         >>> best = ns.evolve(
@@ -505,7 +505,7 @@ def evolve(
                 interrupted = evolution.run(checkpoint, progress, journal, scalars)
                 if evolution.real is not None:
                     return written(interrupted)
-            # What was found is judged and written before Ctrl-C is answered.
+            # The result is judged and written before Ctrl-C is handled.
             with uninterrupted():
                 return written(interrupted)
         except RobotError as error:
@@ -521,11 +521,11 @@ def evolve(
             return written(True)
         finally:
             if not evolution.stages[0].done and not resume:
-                checkpoint.remove()  # nothing came of it
+                checkpoint.remove()  # nothing was saved
 
 
 def _in_reality(real: Transfer | None, reality: Reality | None, seed: int) -> dict[str, Any]:
-    """Return the description of generations in reality, and the paths to compare after them."""
+    """Return the description of the generations in reality, and paths to compare."""
     if real is None or real.chosen is None:
         return {}
     mean, spread = float(real.again.mean()), float(real.again.std(ddof=1))
@@ -544,7 +544,7 @@ def _folders(out: Path, count: int) -> list[Path]:
 
 
 def _unfinished(folder: Path) -> bool:
-    """Return whether what stands there is the best so far of an interrupted evolution."""
+    """Return whether a folder is the best controller so far of an interrupted evolution."""
     if not (folder / "controller.json").exists():
         return False
     return bool(read_controller(folder).evolution.get("interrupted"))

@@ -1,9 +1,9 @@
 """Trials in reality: each is written down before it is used, and none is made twice.
 
-A reality is anything with ``trial(genes, number)`` that returns a fitness, and poses besides where
-it is tracked (:class:`~neurosim.base.trajectory.Tracked`). A search in reality asks an optimiser,
-has the journal evaluate the answer, and tells its fitness; after an interruption the same is done
-again, and the journal answers what it knows.
+A reality is any object with ``trial(genes, number)`` that returns a fitness; with poses if the
+robot is tracked (:class:`~neurosim.base.trajectory.Tracked`). A search in reality asks an optimiser
+for individuals, gets their fitness from the journal, and gives it to the optimiser. After an
+interruption the search starts again, and the journal returns the known results.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from neurosim.base.trajectory import Tracked
 FORMAT, VERSION = "neurosim-real-trials", 1
 #: The file's name.
 TRIALS = "trials.jsonl"
-#: No more trials are made at once: what an interruption loses.
+#: Largest number of trials made at once, which an interruption loses.
 AT_ONCE = 6
-#: After Ctrl-C a trial that is under way has so long to end, s; then it is not waited for.
+#: Time that a running trial has to end after Ctrl-C, s.
 GRACE = 3.0
 _KEPT = "the trials before it are kept: fix the problem and continue with --resume"
 
 
 @runtime_checkable
 class Reality(Protocol):
-    """Where controllers are tried for real.
+    """A reality, in which controllers are tried.
 
-    Optional besides: ``describe() -> dict``, which one it is, for JSON, the same when it is
-    resumed; ``instruction``, a sentence for the person who puts the robot back before every trial;
-    ``patient = True``, where that person may take any time; ``trials(genes [N, G], numbers [N]) ->
-    [N]``, where several can be made at once; ``stop()``, called from another thread when a trial
-    under way is given up. See also :class:`Comparing`.
+    Optional: ``describe() -> dict``, a description for JSON, which must be the same on resume;
+        ``instruction``, a sentence for the person who puts the robot back before every trial;
+        ``patient = True``, if that person may take any time; ``trials(genes [N, G], numbers [N]) ->
+        [N]``, if several can be made at once; ``stop()``, called from another thread when a running
+        trial is given up. See also :class:`Comparing`.
     """
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
@@ -51,7 +51,7 @@ class Reality(Protocol):
 
         Args:
             genes: of it.
-            number: how many trials were made before.
+            number: number of earlier trials.
         """
         ...
 
@@ -66,11 +66,11 @@ class Comparing(Protocol):
 
 
 class Journal:
-    """The trials of one run, and the file in which they stand.
+    """The trials of one run, and their file.
 
     Attributes:
-        used: how many trials the run has used so far, those of before an interruption included.
-        made: how many of them were made since it was begun or resumed.
+        used: number of trials that the run has used so far, including those before an interruption.
+        made: number of those made since it was begun or resumed.
     """
 
     def __init__(
@@ -85,10 +85,10 @@ class Journal:
         """Open the file of trials, or begin it.
 
         Args:
-            reality: where; or a function of genes [G] that returns a fitness.
+            reality: a reality, or a function of genes [G] that returns a fitness.
             path: the file, lines of JSON.
-            each: so many trials are an evaluation, whose fitness is their mean (section 5.2: 3).
-            patience: a trial that takes longer is given up, s.
+            each: number of trials of an evaluation, whose fitness is their mean (section 5.2: 3).
+            patience: longest time of a trial, s.
             ask: asks a person to do something, and returns when it is done.
 
         Raises:
@@ -114,7 +114,7 @@ class Journal:
         self._steps: int | None = None
 
     def expect(self, steps: int) -> None:
-        """Refuse, from now on, trials that were tracked for another number of steps.
+        """Raise an error, from now on, for trials that were tracked for another number of steps.
 
         Raises:
             FileError: if there is one among those that were made before.
@@ -133,7 +133,7 @@ class Journal:
 
     @property
     def evaluations(self) -> float:
-        """How many evaluations the run has used so far: trials by trials of one."""
+        """Number of evaluations that the run has used so far: trials over trials of one."""
         return self.used / self._each
 
     def evaluate(
@@ -145,15 +145,15 @@ class Journal:
     def fitness(
         self, genes: NDArray[np.float64], why: str, evaluations: int = 1
     ) -> NDArray[np.float64]:
-        """Return the fitness [P, T] of individuals [P, G] in T trials, making those that lack.
+        """Return the fitness [P, T] of individuals [P, G] in T trials, and make missing trials.
 
         Args:
             genes: a row for each individual.
-            why: what the trials are for, to stand in the file.
-            evaluations: so many of each; trials that were made before count.
+            why: the purpose of the trials, for the file.
+            evaluations: number for each; trials that were made before count.
 
         Raises:
-            UserError: if the reality returned no finite number.
+            UserError: if the reality did not return a finite number.
             RobotError: if it did not answer in time, or was lost.
             KeyboardInterrupt: at Ctrl-C; a trial that ended within :data:`GRACE` is written down.
         """
@@ -168,11 +168,11 @@ class Journal:
         return np.array([[trial.fitness for trial in trials] for trials in each])
 
     def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return where individuals [P, G] that were tried were, [P, K, 3].
+        """Return the poses [P, K, 3] of individuals [P, G] that were tried.
 
-        It is the mean over the trials that the run has used so far, no others that the file holds:
-        an interruption changes nothing. NaN where one was not seen in any of them; None if none
-        was seen at all.
+        They are means over the trials that the run has used so far, not over further ones in the
+            file: an interruption changes nothing. NaN if a pose was not seen in any of them; None
+            if no pose was seen at all.
         """
         each = []
         for row in genes:
@@ -283,7 +283,7 @@ class Journal:
 
 
 def about_reality(reality: Any) -> dict[str, Any]:
-    """Return the description of a reality; nothing of one that says nothing."""
+    """Return the description of a reality; empty if it has none."""
     return reality.describe() if hasattr(reality, "describe") else {}
 
 
@@ -295,7 +295,7 @@ class _Trial(NamedTuple):
 
 
 class _Function:
-    """A reality made of a function of genes alone."""
+    """A reality made from a function of genes."""
 
     def __init__(self, function: Any):
         if not callable(function):
@@ -305,7 +305,7 @@ class _Function:
         self._function = function
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
-        """Return the result of the function."""
+        """Return the function's result."""
         return self._function(genes)
 
 

@@ -12,10 +12,9 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Trajectory
 from neurosim.tasks.base import Judgement, Task
 
-#: Weight of the fitness where the probability of success counts: among individuals that never
-#: succeed it says which is on its way.
+#: Weight of the fitness in the probability of success, which ranks individuals that never succeed.
 TIE = 1e-4
-#: Differences between paths (median, m) that cost a ``steady`` individual all of its fitness.
+#: Difference between paths (median, m) that costs a ``steady`` individual all of its fitness.
 APART = 0.2
 
 
@@ -23,8 +22,8 @@ class Merit(NamedTuple):
     """The merit of individuals.
 
     Attributes:
-        merit: [P] what is maximised.
-        shown: [P] what histories and progress show of it: the fitness where that is clearer.
+        merit: [P] the value that is maximised.
+        shown: [P] the value for histories and progress: the fitness if it is clearer.
         success: [P] fraction of samples in which the task is done.
     """
 
@@ -33,7 +32,7 @@ class Merit(NamedTuple):
     success: NDArray[np.float64]
 
 
-#: What is taken off an individual that ranks behind all others: more than any fitness.
+#: Loss of an individual that ranks behind all others, larger than any fitness.
 BEHIND = 1e9
 
 Objective = Callable[[Task, Trajectory, Judgement], Merit]
@@ -46,7 +45,7 @@ def fitness(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
 
 
 def probability(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The fraction of samples that succeed; where it is the same, the mean fitness."""
+    """The fraction of samples that succeed; if it is the same, the mean fitness counts."""
     success = judgement.success.mean(axis=1)
     value = success + TIE * mean_fitness(task, judgement.fitness)
     return Merit(value, value, success)
@@ -59,10 +58,10 @@ def progress(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
 
 
 def steady(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The mean fitness, less where the same start leads elsewhere through other noise.
+    """The mean fitness, less a loss if the same start leads to another path through other noise.
 
-    The samples are two halves, the same starts met twice: what noise changes little carries over
-    to the robot. Where there is but one half, or nobody saw the poses, the fitness alone counts.
+    The samples are two halves with the same starts: a controller that noise changes little also
+        works on the robot. If there is only one half, or no poses, the fitness alone counts.
     """
     mean = mean_fitness(task, judgement.fitness)
     success = judgement.success.mean(axis=1)
@@ -88,7 +87,7 @@ def objective_named(name: str) -> Objective:
     """Return an objective.
 
     Raises:
-        UserError: if there is none of this name.
+        UserError: if the name is unknown.
     """
     if name not in OBJECTIVES:
         raise UserError(f"there is no objective {name!r}; choose from {', '.join(OBJECTIVES)}")
@@ -96,17 +95,17 @@ def objective_named(name: str) -> Objective:
 
 
 def repeats_of(name: str) -> int:
-    """Return how often every start is to be met for an objective; see :func:`steady`."""
+    """Return the number of samples of every start for an objective; see :func:`steady`."""
     return 2 if objective_named(name) is steady else 1
 
 
 def put_behind(merit: Merit, fraction: NDArray[np.float64], most: float) -> Merit:
-    """Return merits in which individuals rank behind all others that do too much of something.
+    """Return merits in which individuals above a limit rank behind all others.
 
     Args:
         merit: of individuals [P].
-        fraction: [P] how much of it each does, 0 to 1; less is better among them.
-        most: how much is not too much.
+        fraction: [P] value with the limit, 0 to 1; among those above it, less is better.
+        most: the limit.
     """
     if fraction.max(initial=0.0) <= most:
         return merit
@@ -116,11 +115,11 @@ def put_behind(merit: Merit, fraction: NDArray[np.float64], most: float) -> Meri
 
 
 def is_behind(merit: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which merits are of individuals that :func:`put_behind` has put there."""
+    """Return whether merits belong to individuals that :func:`put_behind` ranked last."""
     return merit < -0.5 * BEHIND
 
 
 def mean_fitness(task: Task, each: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean over trials [P] of what each start [P, R] was worth."""
+    """Return the mean fitness over trials [P] from that of each start [P, R]."""
     trials = each.reshape(len(each), -1, task.trial_starts)
     return task.whole(trials).mean(axis=1)

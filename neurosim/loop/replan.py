@@ -1,9 +1,9 @@
 """Receding horizon: a plan that is replanned after every command, in a learned simulator.
 
-Before each command the robot is looked at. From the robot's pose, after the commands that it got,
-the rest of the plan is searched again: from the rest of the plan so far, over random samples, for
-the probability that the task will be done. The first command of what is found is given; then all of
-it is done again. So errors do not add up, and a robot that was pushed finds another way.
+Before each command the robot's pose is measured. A new search begins with the rest of the plan. It
+starts at the pose, after the commands so far, and maximises the probability of success over random
+samples. The first command of the best plan is given; then all this is repeated. So errors do not
+add up, and a robot that was pushed finds another path.
 
 Mayne, Rawlings, Rao and Scokaert, Constrained model predictive control: stability and optimality,
 Automatica 36, 2000, describe the principle; the search is the genetic algorithm of plans.
@@ -35,21 +35,21 @@ from neurosim.tasks.base import Interval, Judgement, Task
 
 
 class Clock(Protocol):
-    """A robot's clock, as :class:`neurosim.robots.base.Robot` has it."""
+    """A robot's clock; see :class:`neurosim.robots.base.Robot`."""
 
     def now(self) -> float:
         """Return the time, s."""
         ...
 
     def sleep_until(self, time: float) -> None:
-        """Return at a time, s."""
+        """Wait until a time, s."""
         ...
 
 
-#: A robot that need not do more, with so much probability, is done; another one that knows of
-#: nothing better to do thinks again.
+#: Probability of success without further commands at which the task counts as done; below it, a
+#: robot without a better command searches again.
 DONE = 0.5
-#: Near the rest of the plan so far, where a search begins.
+#: Mutation of the first population, around the rest of the plan.
 GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05)
 
 
@@ -61,9 +61,10 @@ class ReplanSettings(Checked):
         generations: Most generations of a search.
         think: Time for a search, while the command before continues, s.
         draws: Random samples for every plan of a search.
-        placing: how exactly the robot's pose is known: standard deviations, m and rad.
-        settle: a robot that may be done stands for so long and is looked at again, s.
-        most: so many times as many commands as the plan has slots are given at most.
+        placing: error of the robot's measured pose: standard deviations, m and rad.
+        settle: time that a robot whose task may be done stands before its pose is measured again,
+            s.
+        most: largest number of commands, as a multiple of the plan's slots.
         genetic: the genetic algorithm of a search.
     """
 
@@ -77,15 +78,15 @@ class ReplanSettings(Checked):
 
 
 class Foreseen(NamedTuple):
-    """The state of knowledge when a command was given.
+    """The predictions at the time when a command was given.
 
     Attributes:
-        pose: [3] where the robot was expected to be as the command began (m, m, rad).
-        after: [3] where the command was expected to lead.
-        rest: [3] where all of the plan was expected to lead.
-        probability: that the task will be done, by the samples of the search.
-        generations: of the search.
-        seconds: that it took, by the clock.
+        pose: [3] expected pose at the beginning of the command (m, m, rad).
+        after: [3] expected pose after the command.
+        rest: [3] expected pose after the whole plan.
+        probability: probability of success, by the samples of the search.
+        generations: number of generations of the search.
+        seconds: duration of the search, by the clock.
     """
 
     pose: tuple[float, ...]
@@ -97,11 +98,11 @@ class Foreseen(NamedTuple):
 
 
 class Replanner:
-    """Plans the rest of a task again and again; see the module.
+    """Plans the rest of a task before every command; see the module.
 
     Attributes:
-        steps: how many commands are given at most.
-        foreseen: what was known as each command so far was given.
+        steps: largest number of commands.
+        foreseen: the predictions at each command so far.
     """
 
     def __init__(
@@ -118,15 +119,15 @@ class Replanner:
         """Prepare a trial.
 
         Args:
-            simulator: in which it is planned.
-            task: to be done.
-            plan: the family of plans; the rest of one has no more commands than these have slots.
-            commands: of the plan to begin with, at most as many.
+            simulator: the simulator for planning.
+            task: the task.
+            plan: the family of plans, whose slots limit the commands of the rest.
+            commands: of the first plan, at most as many.
             settings: how.
             seed: of the searches.
-            clock: by which a search takes time: it ends in time, and where it ends earlier the
-                rest of the time is waited for, so that in a lab whose time stands still meanwhile
-                it takes as long as on a robot. None: time does not matter.
+            clock: limits the time of a search. After a shorter search the rest of the time is
+                waited for: in a lab whose time stands still meanwhile, it takes as long as on a
+                robot. None: no limit.
 
         Raises:
             UserError: if the plan's commands are not those of the simulator.
@@ -141,7 +142,7 @@ class Replanner:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a trial: the plan is the first one again, and nothing was driven."""
+        """Begin a trial with the first plan, before any command."""
         self._genes = self._of(self._given)
         self._rng = np.random.default_rng([self._seed, 0x4EC4])
         self._state = np.empty((0, 0))
@@ -150,11 +151,11 @@ class Replanner:
         self.foreseen: list[Foreseen] = []
 
     def next(self, pose: NDArray[np.float64], ahead: float = 0.0) -> Command | None:
-        """Return the next command; None: the task is done as far as is known.
+        """Return the next command; None if the task is probably done.
 
         Args:
-            pose: [3] where the robot was seen (m, m, rad), its heading up to whole turns.
-            ahead: so long before the command is to begin, s.
+            pose: [3] measured pose of the robot (m, m, rad), its heading up to whole turns.
+            ahead: time from the measurement to the beginning of the command, s.
         """
         began = 0.0 if self._clock is None else self._clock.now()
         self._arrive(np.asarray(pose, np.float64), ahead)
@@ -183,14 +184,14 @@ class Replanner:
     def rehearse(self, start: ArrayLike, seed: int = 0) -> tuple[Judgement, Trajectory]:
         """Drive a trial in the simulator, through one random sample.
 
-        Before each command the robot is seen with an error, as ``placing`` of the settings says.
+        Before each command the pose is measured with an error, ``placing`` of the settings.
 
         Args:
-            start: [3] where the robot stands (m, m, rad).
-            seed: of the sample and of these errors.
+            start: [3] first pose of the robot (m, m, rad).
+            seed: of the sample and of the errors.
 
         Returns:
-            The task's judgement of the trial, and its trajectory: a command is an interval, and in
+            The task's judgement of the trial, and its trajectory, whose intervals are commands; in
             the last one the robot stops.
         """
         self.begin()
@@ -225,12 +226,12 @@ class Replanner:
         return tuple(stop_after(last, self._plan.units))
 
     def _of(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
-        """Return the genes of as many commands as there are slots, the last ones null."""
+        """Return the genes of commands, filled up to the slots by null ones."""
         missing = self._plan.slots - len(commands)
         return self._plan.encode([*commands, *[None] * missing])
 
     def _arrive(self, pose: NDArray[np.float64], ahead: float) -> None:
-        """Go on in the simulator by the last command, and believe what was seen on the way."""
+        """Advance the simulated state by the last command, and correct it by the measured pose."""
         if not self._commands:
             self._state = self._stepper.start(pose[None])
             self._poses.append(pose)
@@ -248,10 +249,10 @@ class Replanner:
         self._poses.append(self._state[0, :3].copy())
 
     def _search(self, began: float) -> tuple[NDArray[np.float64], float, NDArray[np.float64], int]:
-        """Return the best plan [G] found in time, and what is expected of it.
+        """Return the best plan [G] found in time, and its predictions.
 
-        That is the probability of success, and the pose [3] where the plan leads. Where nothing
-        more needs to be done, the plan is that.
+        These are the probability of success, and the final pose [3]. If no command is needed, the
+        plan is empty.
         """
         how, onward = self._settings, self._onward
         seed = int(self._rng.integers(2**31))
@@ -270,7 +271,7 @@ class Replanner:
             search.generation()
             if self._clock is not None and self._clock.now() - began > how.think:
                 break
-        # Told from other samples than it was chosen by.
+        # Estimated on other samples than those of the choice.
         both = np.stack([search.top[0], self._nothing])
         draws = onward.draw(4 * how.draws, self._rng) if uncertain else onward.expectation()
         with onward.threads_for(len(draws)):
@@ -282,9 +283,9 @@ class Replanner:
         return both[best], (drives, stands)[best], expected.poses[0, 0, -1], search.done
 
     def _first(self) -> NDArray[np.float64]:
-        """Return a first population [P, G]: most of it near the rest of the plan, if there is one.
+        """Return a first population [P, G]: most individuals are near the rest of the plan, if any.
 
-        One of it does nothing more.
+        One individual gives no command.
         """
         genetic = self._settings.genetic
         first = self._rng.random((genetic.population, self._plan.genes))
@@ -304,12 +305,12 @@ def _tuple(pose: NDArray[np.float64]) -> tuple[float, ...]:
 
 
 class _Onward(Evaluator):
-    """Judges the rest of plans, from where the robot is, with what it has done so far."""
+    """Judges the rest of plans, from the present pose and after the commands so far."""
 
     _record: NDArray[np.float64] | None = None
 
     def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
-        """Be in a state [S], after poses [K + 1, 3] and commands [K, C]."""
+        """Set the state [S], after poses [K + 1, 3] and commands [K, C]."""
         self._state, self._record = state, None
         if len(commands):
             record = self.task.new_record(poses[:1])
@@ -322,7 +323,7 @@ class _Onward(Evaluator):
 
     @contextmanager
     def threads_for(self, individuals: int) -> Iterator[None]:
-        # What has a deadline does not wait for a core that others are using.
+        # A computation with a deadline does not wait for a core that others are using.
         with one_core(True), one_thread():
             yield
 

@@ -1,12 +1,11 @@
 """A stage of evolution: generations of an optimiser's population, judged by the one loop.
 
-A controller that is evolved on the expected motion does it along the edge of what the task
-allows, and fails wherever the robot does a little otherwise. Where samples are drawn, every
-individual of a generation meets the same (common random numbers: where the robot was placed,
-which member of the ensemble it moves as, the noise of every step), so that two individuals differ
-by what they are and not by their luck. New ones are drawn every few generations, so that
-individuals do not overfit them; the one that is kept of each run is chosen on other samples again,
-and its probability of success estimated from still others.
+A controller that evolves on the expected motion uses the task's limits fully, and fails if the
+robot moves a little differently. With random samples, every individual of a generation gets the
+same ones (common random numbers: the start, the member of the ensemble, the noise of every step).
+So a difference between two individuals is not due to luck. New samples are drawn every few
+generations, so that individuals do not overfit them. The best of each run is chosen on other
+samples, and its probability of success is estimated on still others.
 
 Sources: Jin and Branke, Evolutionary optimization in uncertain environments, IEEE Trans.
 Evolutionary Computation 9, 2005; Jakobi, Husbands and Harvey, Noise and the reality gap, ECAL 1995.
@@ -32,23 +31,23 @@ from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.objectives import Merit, is_behind, repeats_of
 from neurosim.loop.settings import EvolveSettings
 
-#: Of a stage with random samples so many candidates of each run are looked at again: the best of
-#: the last population, and the best of each set of samples before.
+#: Number of candidates of each run that are judged again after a stage with random samples: the
+#: best of the last population, and the best of each earlier set of samples.
 FINALISTS = 24
 #: State of a stage, in addition to the optimiser's own.
 _STATE = ("best", "mean", "population", "merit", "top", "top_merit")
 
 
 class Search:
-    """One stage: what an optimiser asks for is judged, generation after generation.
+    """One stage: the populations of an optimiser are judged, generation after generation.
 
     Attributes:
         optimiser: the optimiser, or its :class:`~neurosim.evolution.climb.Replay`.
-        best, mean: of what is shown, in every generation, [N] each.
-        shown: [N, P] of the population judged last: its fitness, or what stands for it.
+        best, mean: of the shown value in every generation, [N] each.
+        shown: [N, P] the shown value of the last population, usually its fitness.
         population, merit: [N, P, G] and [N, P] of it.
-        top: [N, G] the best individual of each run so far; with random samples it may have been
-            lucky, see :meth:`choose`.
+        top: [N, G] the best individual of each run so far; with random samples it may be due to
+            luck, see :meth:`choose`.
         top_merit: [N] its merit.
     """
 
@@ -70,11 +69,11 @@ class Search:
             evaluator: judges.
             optimiser: has ask() and tell().
             seed: of the samples.
-            objective: what is maximised.
-            samples: trials that every individual is tried in; 0: what the simulator expects.
-            refresh: new samples are drawn every so many generations.
-            kept: [N, G] a candidate from before for each run; the best of each set of samples
-                is then remembered too, to be looked at again.
+            objective: the objective that is maximised.
+            samples: number of trials of every individual; 0: the expected motion.
+            refresh: number of generations that share the same samples.
+            kept: [N, G] an earlier candidate of each run; then the best of each set of samples is
+                also kept, to be judged again.
             unsupported: see :meth:`Evaluator.merit`.
         """
         self._evaluator, self.optimiser = evaluator, resumable(optimiser)
@@ -92,11 +91,11 @@ class Search:
 
     @property
     def done(self) -> int:
-        """How many generations there were so far."""
+        """Number of generations so far."""
         return len(self.best)
 
     def generation(self) -> str:
-        """Judge a population, let the optimiser make the next, and say how it stands."""
+        """Judge a population, let the optimiser make the next; return a short figure."""
         asked = np.asarray(self.optimiser.ask(), np.float64)
         genes = asked.reshape(-1, *asked.shape[-2:])
         if self._samples and (self._draws is None or self.done % self._refresh == 0):
@@ -111,7 +110,7 @@ class Search:
         return f"best {np.max(self.best[-1]):z.1f}"
 
     def _draw(self) -> Draws:
-        """Draw the samples of this generation and those that share them."""
+        """Draw the samples of this generation and of the next ones that share them."""
         repeats = repeats_of(self._objective) if self._evaluator.simulator.uncertain else 1
         rng = np.random.default_rng([*self._seed, self.done // self._refresh])
         return self._evaluator.draw(self._samples, rng, repeats)
@@ -135,14 +134,14 @@ class Search:
         self.top[better], self.top_merit[better] = candidates[better], value[better]
         if self._keeps and (self.done + 1) % self._refresh == 0:
             self._kept.append(candidates)
-        # Who ranks behind the others is not the best of them, however high the fitness.
+        # An individual that ranks last is never the best, at any fitness.
         shown = np.where(is_behind(merit.merit), -np.inf, merit.shown)
         best = shown.max(axis=1)
         self.best.append(np.where(np.isfinite(best), best, merit.shown.max(axis=1)))
         self.mean.append(merit.shown.mean(axis=1))
 
     def candidates(self) -> NDArray[np.float64]:
-        """Return the individuals [N, C, G] among which the best of each run is to be found."""
+        """Return the individuals [N, C, G] among which the best of each run is chosen."""
         if not self._keeps:
             return self.population
         order = np.argsort(-self.merit, axis=1, kind="stable")[:, :FINALISTS]
@@ -150,7 +149,7 @@ class Search:
         return np.concatenate([np.stack(self._kept[-FINALISTS:], axis=1), last], axis=1)
 
     def choose(self, draws: Draws) -> NDArray[np.float64]:
-        """Return the candidate of each run that is best over other samples, [N, G]."""
+        """Return the best candidate of each run over new samples, [N, G]."""
         candidates = self.candidates()
         merit, _ = zip(
             *(
@@ -163,17 +162,17 @@ class Search:
         return candidates[np.arange(len(candidates)), best]
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that the next generations depend on, as arrays."""
+        """Return as arrays all values on which the next generations depend."""
         state = {f"optimiser.{name}": value for name, value in self.optimiser.state().items()}
         state |= {name: np.array(getattr(self, name)) for name in _STATE}
         return state | ({"kept": np.stack(self._kept)} if self._kept else {})
 
     def load(self, state: Mapping[str, Any]) -> None:
-        """Go on from what :meth:`state` returned.
+        """Continue from a result of :meth:`state`.
 
         Raises:
-            KeyError, ValueError: if it is the state of something else.
-            UserError: if the optimiser asks for others than it did before.
+            KeyError, ValueError: if it is the state of another search.
+            UserError: if the optimiser asks for other individuals than before.
         """
         self.optimiser.load(part_of(state, "optimiser."))
         for name in _STATE:
@@ -196,13 +195,13 @@ def new_optimiser(
     """Return an optimiser of a controller's genes.
 
     Args:
-        controller: whose genes.
-        settings: which optimiser, population, rates and runs.
+        controller: the family of the genes.
+        settings: of the optimiser, its population, rates and runs.
         seed: random seed.
         first: a first population [N, P, G], or None: the controller draws one.
 
     Raises:
-        UserError: if there is no such optimiser.
+        UserError: if the optimiser is unknown.
     """
     genetic, open_loop = settings.genetic, controller.open_loop
     shape = settings.runs, genetic.population, controller.genes

@@ -1,4 +1,4 @@
-"""How controllers are evolved."""
+"""Settings of evolution."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from neurosim.loop.objectives import objective_named
 from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 
-#: Plans: Table 1 of Pretorius et al. 2009 but for its tournament of 50, which leaves a run with
-#: one plan and its likes before the course is found.
+#: Plans: Table 1 of Pretorius et al. 2009 except its tournament of 50, after which all plans of a
+#: run are alike before one completes the course.
 PLAN_GENETIC = GeneticSettings(tournament=5)
-#: Robust evolution: the way is known, it is to be smoothed without losing variety. 60 individuals
-#: come as far as 250, in a third of the time: each is judged by many samples.
+#: Robust evolution: it improves known plans without losing variety. 60 individuals reach the same
+#: fitness as 250, in a third of the time, because each is judged by many samples.
 ROBUST_GENETIC = GeneticSettings(
     population=60, tournament=5, mutation=0.1, eta=2.0, mutation_scale=0.03
 )
-#: Networks: Lund and Miglino 1996 give population and parents (and so 5 children of each); the
-#: rest is ours.
+#: Networks: Lund and Miglino 1996 give population and parents (and so 5 children of each); the rest
+#: is neurosim's own.
 NETWORK_GENETIC = GeneticSettings(
     population=100, crossover=0.5, mutation=0.15, eta=2.0, mutation_scale=1.0, elites=0, parents=20
 )
@@ -35,12 +35,11 @@ class RobustSettings(Checked):
 
     Attributes:
         objective: ``probability`` of completing the task, or ``fitness``, the expected fitness.
-            The latter often prefers plans that stop halfway and are safe.
+            The latter often prefers safe plans that stop halfway.
         generations: Generations of --robust, after those without noise.
         draws: Random samples for every individual of a generation of --robust.
-        refresh: new samples are drawn every so many generations, so that individuals do not overfit
-        them.
-        selection_draws: samples on which the individual to keep is chosen in the end.
+        refresh: number of generations that share the same samples; new samples prevent overfitting.
+        selection_draws: number of samples for the final choice of an individual.
         genetic: the genetic algorithm; its mutation is finer than before.
     """
 
@@ -62,8 +61,8 @@ class EvolveSettings(Checked):
         runs: Independent runs, evaluated together; the best of all is kept.
         genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a fraction
             of a gene's range.
-        insertion: plans: whether a null command that mutation brings back comes at any position
-            in the plan; False: where it is, as we read the paper.
+        insertion: plans: whether mutation brings a null command back at any position in the plan;
+            False: at its own position, as the paper probably does.
         samples: Random samples that each individual of a generation is tried in; 0: only the
             simulator's expected motion.
         objective: The number that evolution maximises: fitness; probability, of completing the
@@ -99,7 +98,7 @@ class EvolveSettings(Checked):
 
     @property
     def most_unsupported(self) -> float | None:
-        """The fraction of the time above which a controller ranks behind; None: none does."""
+        """The fraction of the time above which a controller ranks last; None: no limit."""
         return None if self.extrapolate else self.unsupported
 
     def __post_init__(self) -> None:
@@ -115,18 +114,18 @@ class EvolveSettings(Checked):
         """Return these settings with some replaced.
 
         Raises:
-            UserError: if there is no such setting, or a value is out of range.
+            UserError: if a setting is unknown, or a value is out of range.
         """
         check_names("evolution", changes, [each.name for each in fields(self)])
         return replace(self, **changes)
 
 
 def default_settings(controller: Controller, task: Task, **changes: Any) -> EvolveSettings:
-    """Return the settings of the paper that a controller is from, and some changed.
+    """Return the settings of a controller's paper, with changes.
 
     Plans are evolved as in section 6.2 of Pretorius et al. 2009, on the expected motion.
-    Controllers that see are evolved as by Lund and Miglino 1996, in trials drawn again for every
-    generation, from random starts where the task has them; else for graded progress.
+    Closed-loop controllers are evolved as by Lund and Miglino 1996, in new random trials for every
+    generation, from random starts if the task has them; otherwise for graded progress.
     """
     if controller.open_loop:
         return EvolveSettings(runs=10).changed(changes)

@@ -35,12 +35,12 @@ def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
     """Read a simulator, a controller or a dataset, whichever a folder holds.
 
     Args:
-        folder: of any of them.
-        device: where a simulator computes, as PyTorch names it; the others do not need it.
+        folder: its folder.
+        device: PyTorch's device on which a simulator computes; without effect for the others.
 
     Raises:
-        FileError: if it holds none of them, or a file in it is missing or wrong.
-        UserError: if there is no such device.
+        FileError: if it is none of these, or a file in it is missing or wrong.
+        UserError: if the device does not exist.
 
     Example:
         >>> simulator = ns.load("simulator")
@@ -72,7 +72,7 @@ def read_dataset(folder: str | Path) -> Dataset:
 
 
 class _Given(Controller):
-    """Commands that are given as they are, in a simulator's own columns."""
+    """Given commands in a simulator's own columns."""
 
     kind, open_loop = "commands", True
 
@@ -80,7 +80,7 @@ class _Given(Controller):
         self._commands, self.outputs = commands, names
 
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
-        """Return the commands [P, T, C]; nothing is added at the end."""
+        """Return the commands [P, T, C], without a stop at the end."""
         return self._commands, np.ones(self._commands.shape[:2], np.bool_)
 
 
@@ -97,12 +97,12 @@ def rollout(
     """Drive commands or a controller in a simulator.
 
     Args:
-        simulator: where: a simulator or its folder.
+        simulator: a simulator or its folder.
         what: commands [T, C] or a batch [B, T, C] in the simulator's columns, NumPy or torch; or
             a saved controller or its folder.
         start: x (m), y (m), heading (rad); by default 0, 0, 0, or the controller's own.
-        task: of a controller, how long it runs: a task or its name; by default its own.
-        samples: random samples that each is driven through; 0: what the simulator expects.
+        task: for a controller, a task or its name, which sets the duration; by default its own.
+        samples: number of random samples of each; 0: the expected motion.
         seed: of the draws.
         placing: error in placing the robot, in samples: standard deviations in x and y (m), in
             heading (rad).
@@ -112,8 +112,8 @@ def rollout(
         ``samples`` [B, samples] or [samples]; in tensors where ``what`` was a tensor.
 
     Raises:
-        UserError: if a command is not finite, lasts no time or lies outside what the simulator
-            was made from; or a controller does not fit the simulator.
+        UserError: if a command is not finite, has no duration or is outside of the simulator's
+            data; or a controller does not fit the simulator.
 
     Example:
         >>> path = ns.rollout("simulator", [[40, 20, 1.0], [0, 30, 0.5]])  # left %, right %, s
@@ -157,7 +157,7 @@ def rollout(
 
 
 def _picked(trajectory: Trajectory, index: tuple[Any, ...], tensors: bool) -> Trajectory:
-    """Return some trials of a trajectory, as tensors where these are wanted."""
+    """Return some trials of a trajectory, as tensors if requested."""
 
     def pick(value: Any) -> Any:
         if value is None or np.ndim(value) == 0:

@@ -1,6 +1,6 @@
 """Rollouts of any controller in any simulator, step by step through ``act()`` and ``step()``.
 
-This is what compiled rollouts are held to.
+Tests compare compiled rollouts with these.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from neurosim.simulators.sampling import began, draw_samples, trial_steps
 
 
 class SteppedRollouts:
-    """Rollouts through the steps that the protocols offer.
+    """Rollouts through the steps of the protocols.
 
-    A simulator that can be given its noise meets every controller with the same; one that draws
-    it itself draws the same for a batch of the same size, but not the same for two controllers
-    of a batch.
+    A simulator that takes its noise as an argument gives every controller the same noise. A
+    simulator that draws it itself draws the same for a batch of the same size, but not for two
+    controllers of a batch.
     """
 
     def __init__(self, simulator: Simulator, controller: Controller, episode: Episode):
@@ -39,7 +39,7 @@ class SteppedRollouts:
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Draw samples: where each robot stands, its member, and its noise or a seed for it."""
+        """Draw samples: start, ensemble member, and noise or its seed."""
         steps = trial_steps(self._controller, self._episode)
         return draw_samples(self._simulator, starts, rng, placing, steps)
 
@@ -52,7 +52,7 @@ class SteppedRollouts:
 
 
 class _Trial:
-    """A batch of trials under way: P individuals, each through R samples."""
+    """A batch of running trials: P individuals, each through R samples."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class _Trial:
             self._generator = torch.Generator().manual_seed(int(draws.seeds[0]) % 2**63)
         if self._generator is None or draws.member is not None:
             self._state = self._each(torch.from_numpy(began(simulator, draws)))
-        else:  # it may draw something at the start, too
+        else:  # it may draw random numbers at the start, too
             starts = self._each(torch.from_numpy(np.asarray(draws.starts, np.float64)))
             self._state = simulator.start(starts, self._generator)
         self._poses = [self._state[:, :3]]
@@ -101,7 +101,7 @@ class _Trial:
         self._poses.append(after[:, :3])
 
     def open_loop(self, commands: NDArray, active: NDArray) -> Trajectory:
-        """Drive commands [P, T, 3]; those that are not active leave the robot as it is."""
+        """Drive commands [P, T, 3]; inactive ones do not change the robot's state."""
         count, steps, _ = commands.shape
         samples = self._shape[1]
         rests = self._episode.rest > 0
@@ -125,7 +125,7 @@ class _Trial:
         )
 
     def _durations(self, commands: NDArray, active: NDArray) -> NDArray:
-        """Return how long each of the commands [P, T, C] holds, [P, T]."""
+        """Return the duration of each of the commands [P, T, C], [P, T]."""
         durations = np.full(active.shape, self._episode.step)
         if "duration" in self._simulator.command_names:
             durations = commands[..., -1]
@@ -135,7 +135,7 @@ class _Trial:
         return durations
 
     def _step_given(self, command: Tensor, sent: Tensor, given: Tensor) -> None:
-        """Step with the noise of the n-th command that is given: null ones use up none."""
+        """Step with the noise of the n-th given command: null ones do not use any."""
         random = self._random(0)
         if self._noise is not None:
             rows = torch.arange(len(sent)) % self._shape[1]
@@ -145,7 +145,7 @@ class _Trial:
         self._poses.append(self._state[:, :3])
 
     def seeing(self, controller: Controller, genes: Tensor) -> Trajectory:
-        """Ask a controller with genes [P, G] for a command at every step."""
+        """Drive by a controller with genes [P, G], which gives a command at every step."""
         episode, simulator = self._episode, self._simulator
         genes = genes.repeat_interleave(self._shape[1], 0)
         memory, goals = controller.start(len(genes)), Goals(episode, len(genes))

@@ -1,8 +1,8 @@
 """Generations in reality after those in a simulator: Lund and Miglino 1996.
 
-The optimiser goes on where it was in the simulator, and reality tries what it asks for, one
-individual after the other. Every trial is in the journal before it is used: to resume is to ask,
-and to read what is known.
+The optimiser continues from its state in the simulator, and reality tries its individuals one after
+the other. Every trial is in the journal before it is used. A resumed run asks again, and reads the
+known trials.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from neurosim.evolution.space import Optimiser
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.journal import Journal
 
-#: So many of the last population's best are tried again, and so often each: what was best in its
-#: own trial may have been lucky.
+#: Number of the last population's best that are tried again, and how often: the best in a single
+#: trial may be due to luck.
 AGAIN, TRIALS_AGAIN = 5, 4
 
 
@@ -31,12 +31,12 @@ class Transfer(Climb):
     """
 
     def __init__(self, optimiser: Optimiser, journal: Journal, evaluator: Evaluator):
-        """Go on after a stage in the simulator.
+        """Continue after a stage in the simulator.
 
         Args:
             optimiser: of that stage.
             journal: of the trials.
-            evaluator: the simulator, where the optimiser wants to know more than the fitness.
+            evaluator: the simulator's, if the optimiser needs more than the fitness.
         """
         super().__init__(optimiser, self._tried, self._simulated)
         self._journal, self._evaluator = journal, evaluator
@@ -52,13 +52,13 @@ class Transfer(Climb):
         return self._evaluator.merit(genes, self._evaluator.expectation(), hints=self.hints)[1]
 
     def candidates(self) -> NDArray[np.float64]:
-        """Return the best of the last generation [C, G], or the one chosen of them."""
+        """Return the best of the last generation [C, G], or the chosen one of them."""
         if self.chosen is not None:
             return self.chosen[None]
         return self.asked[-1][np.argsort(-self.fitness[-1], kind="stable")[:AGAIN]]
 
     def choose(self) -> None:
-        """Try the best of the last generation again, and keep the one that is best."""
+        """Try the best of the last generation again, and keep the best of these."""
         candidates = self.candidates()
         again = self._journal.fitness(candidates, "tried again", 1 + TRIALS_AGAIN)[:, 1:]
         best = int(again.mean(axis=1).argmax())

@@ -13,7 +13,7 @@ from neurosim.loop.evaluate import Evaluator, with_contacts
 from neurosim.simulators.base import InPlace
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 
-#: Arenas that nobody was evolved in, and drives in them.
+#: Number of arenas without evolution in them, and of drives in them.
 ARENAS, DRIVES = 10, 20
 
 
@@ -22,10 +22,10 @@ class Unmet:
     """The result of drives in arenas in which the controller was not evolved.
 
     Attributes:
-        drives: how many there were.
-        touched: in how many of them the robot touched something.
-        fitness: their mean, where what comes after the first contact counts nothing.
-        vehicle: in how many of them a hand-written vehicle touched something; None: not known.
+        drives: number of drives.
+        touched: number of drives in which the robot touched something.
+        fitness: mean fitness, in which the time after the first contact counts nothing.
+        vehicle: number of drives in which a hand-written vehicle touched something; None: unknown.
     """
 
     drives: int
@@ -45,22 +45,22 @@ class Unmet:
 
     @property
     def worse(self) -> bool:
-        """Whether it touches something more often than the hand-written vehicle."""
+        """Whether the controller touches something more often than the hand-written vehicle."""
         return self.vehicle is not None and self.touched > self.vehicle
 
     def describe(self) -> dict[str, float | None]:
-        """Return it for controller.json."""
+        """Return the result for controller.json."""
         return asdict(self)
 
 
 def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unmet] | None:
-    """Drive individuals [N, G] in arenas drawn for this alone, all from the same starts.
+    """Drive individuals [N, G] in new random arenas, all from the same starts.
 
     A hand-written vehicle drives there, too, if the robot has two wheels.
 
     Returns:
-        The result of each; None where the task is another than avoiding obstacles, or the simulator
-        knows of no arenas.
+        The result of each; None if the task is not the avoidance of obstacles, or the simulator has
+        no arenas.
     """
     task, own = evaluator.task, evaluator.simulator
     if not isinstance(task, ObstacleAvoidance) or task.fitness != "avoidance":

@@ -1,7 +1,7 @@
-"""Who judges the parts of a population: this process, or the workers of a Ray cluster.
+"""Workers that judge the parts of a population: this process, or those of a Ray cluster.
 
-A population is cut into the same parts for all workers, and a part depends on nothing but its
-genes and the samples that were drawn. So the result is the same for any number of workers, and a
+A population is cut into the same parts for all workers, and a part depends only on its genes and
+the samples. So the result is the same for any number of workers, and a
 part whose worker was lost is judged again by another.
 """
 
@@ -22,8 +22,8 @@ from neurosim.base.errors import UserError
 from neurosim.base.registry import PLUGIN
 from neurosim.base.threads import one_thread
 
-#: (evaluator, parts of a population, draws, how they are judged) -> what each part is worth, in
-#: their order; see :meth:`neurosim.loop.evaluate.Evaluator.merit_of`.
+#: (evaluator, parts of a population, draws, settings of the judgement) -> the merit of each part,
+#: in order; see :meth:`neurosim.loop.evaluate.Evaluator.merit_of`.
 Workers = Callable[[Any, Iterable[NDArray], Any, tuple[Any, ...]], Iterator[Any]]
 
 
@@ -31,11 +31,11 @@ def workers_named(name: Name) -> Workers | None:
     """Return workers; None: this process.
 
     Args:
-        name: local, this process; or ray, those of the Ray cluster that ``RAY_ADDRESS`` names or
-            that runs on this computer, else of one that is started on it.
+        name: local, this process; or ray, a Ray cluster: the one of ``RAY_ADDRESS``, one that runs
+            on this computer, or a new one.
 
     Raises:
-        UserError: if there are none of this name, or Ray is not installed or cannot be reached.
+        UserError: if the name is unknown, or Ray is not installed or cannot be reached.
     """
     if name == "local":
         return None
@@ -59,14 +59,14 @@ class Ray:
     def __call__(
         self, evaluator: Any, parts: Iterable[NDArray], draws: Any, how: tuple[Any, ...]
     ) -> Iterator[Any]:
-        """Judge parts on all workers; only as many are on their way as keep these busy."""
+        """Judge parts on all workers; send only as many as keep them busy."""
         ray = self._ray
         for name, module in list(sys.modules.items()):
             if name.startswith(PLUGIN):  # a worker could not import it
                 ray.cloudpickle.register_pickle_by_value(module)
         alone = copy(evaluator)
         alone.workers = None
-        # As bytes: arrays that Ray shares between workers cannot be written to.
+        # As bytes: shared arrays of Ray are read-only.
         job = ray.put(ray.cloudpickle.dumps((alone, draws, how)))
         most = 2 * max(int(ray.cluster_resources().get("CPU", 1)), 1)
         waiting: deque[Any] = deque()

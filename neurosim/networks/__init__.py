@@ -1,4 +1,4 @@
-"""Networks, above all of product and summation units; they know only tensors."""
+"""Networks, mainly of product and summation units; they know only tensors."""
 
 from neurosim.networks.expanded import Expanded
 from neurosim.networks.population_error import PopulationError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-#: Rows that are worked on at a time: their outputs stay in the first-level cache.
+#: Number of rows per pass, whose outputs stay in the first-level cache.
 _ROWS = 256
 
 _f = np.float32
@@ -16,8 +16,8 @@ _njit = numba.njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model=
 def _exp2(z):
     """Return 2 to the power of z, |z| < 126, to about 1e-7 relative.
 
-    Plain arithmetic, which the compiler turns into vector instructions; a call to the library's
-    exponential stays one number at a time. The polynomial is 2^f for |f| <= 1/2 (Taylor's series
+    Plain arithmetic becomes vector instructions; a call to the library's exponential computes one
+    number at a time. The polynomial is 2^f for |f| <= 1/2 (Taylor's series
     of exp(f ln 2), sixth order), the integer part goes into the exponent's bits.
     """
     whole = np.floor(z + _f(0.5))
@@ -37,7 +37,7 @@ def _exp2(z):
 def _add_unit(out, weight, exponents, log2, start, rows, limit):
     """Add weight times a product unit's magnitude to out, for some rows."""
     if exponents.shape[0] == 5:
-        # Without the detour through memory; both kinds of robots have five inputs.
+        # Without intermediate values in memory; five inputs are the usual case.
         w0, w1, w2, w3, w4 = exponents[0], exponents[1], exponents[2], exponents[3], exponents[4]
         c0, c1 = log2[0, start : start + rows], log2[1, start : start + rows]
         c2, c3 = log2[2, start : start + rows], log2[3, start : start + rows]

@@ -1,8 +1,8 @@
-"""Networks as controllers, laid out for compiled rollouts: what every step computes.
+"""Networks as controllers, in the form for compiled rollouts.
 
 A layer's genes are rows of weights, one row a unit, the bias last. Hidden units are tanh; outputs
-are tanh times a scale. In a recurrent network the hidden units also see what they were in the step
-before: with state y and input x, in every step
+are tanh times a scale. In a recurrent network the hidden units also get their values of the
+previous step: with state y and input x, in every step
 
     y <- y + alpha (W (x, tanh(y), 1) - y)
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Inputs of a controller in addition to the readings of sensors. The pose is in the board's frame;
-#: the next goal is in the robot's: ahead and to the left (m), and how much it must turn there.
+#: the next goal is in the robot's: ahead and to the left (m), and the turn to its heading.
 POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
 GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")
 TIME_INPUTS = ("time",)
@@ -31,7 +31,7 @@ TIME_INPUTS = ("time",)
 #: pi) from that line to the goal's heading. All three are zero at the goal, and bearing and
 #: approach are zero for a robot that only has to drive straight on.
 POLAR_INPUTS = ("goal_distance", "goal_bearing", "goal_approach")
-#: All that is told of the next goal.
+#: All inputs about the next goal.
 OF_GOALS = (*GOAL_INPUTS, *POLAR_INPUTS)
 NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS, *POLAR_INPUTS)
 
@@ -54,9 +54,9 @@ class NetworkArrays(NamedTuple):
 
 
 def input_sources(inputs: Sequence[str], reading_names: Sequence[str]) -> NDArray[np.int64]:
-    """Return where each input comes from, as compiled rollouts take it, [I].
+    """Return the source of each input for compiled rollouts, [I].
 
-    The index of a sensor, or -1 - the place in :data:`NOT_READINGS`.
+    It is the index of a sensor, or -1 - the index in :data:`NOT_READINGS`.
     """
     return np.array(
         [

@@ -1,7 +1,7 @@
-"""A network at every step of a trial, compiled: for the loops of the simulators.
+"""A network at every step of a trial, compiled for the loops of the simulators.
 
-They compute what :meth:`neurosim.controllers.Controller.act` and
-:func:`neurosim.controllers.base.observe` do for batches of tensors.
+The functions compute the same as :meth:`neurosim.controllers.Controller.act` and
+:func:`neurosim.controllers.base.observe`, which work on batches of tensors.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from neurosim.networks.control import (
     input_sources,
 )
 
-#: Inputs, as their sources, that take the heading's cosine and sine.
+#: Sources of the inputs that are the heading's cosine and sine.
 _TURNED = input_sources(("cos_heading", "sin_heading", *OF_GOALS), ())
 _POLAR = input_sources(POLAR_INPUTS, ())
 
-#: Sums keep their order: the same genes give the same commands in every simulator.
+#: Sums keep their order, so that the same genes give the same commands in every simulator.
 _MATHS = {"contract", "nsz"}
 
 
 class Pilot(NamedTuple):
-    """A family of controllers and the trial that they are in, as numbers.
+    """A family of controllers and their trial, as numbers.
 
-    A controller is open-loop, its commands known beforehand, or a network.
+    A controller is open-loop, with commands known in advance, or a network.
     """
 
-    open_loop: bool  #: whether it is open-loop
+    open_loop: bool  #: whether the controller is open-loop
     commands: np.ndarray  #: [P, T, C] of open-loop ones
-    given: np.ndarray  #: [P, T] bool; a command that is not given leaves the robot as it is
-    length: int  #: steps of a trial, the stop at its end included
-    reads: int  #: sensors are read from this step on
+    given: np.ndarray  #: [P, T] bool; a command that is not given does not change the robot's state
+    length: int  #: steps of a trial, including the stop at its end
+    reads: int  #: first step in which sensors are read
     source: np.ndarray  #: [I] of the inputs, see :func:`neurosim.networks.control.input_sources`
     hidden: np.ndarray  #: this and the next two as in NetworkArrays
     scale: np.ndarray
@@ -110,7 +110,7 @@ def closed_loop(net: NetworkArrays, source: np.ndarray, episode: Episode, reads:
 
 
 def units_of(pilot: Pilot) -> int:
-    """Return how many values of units :func:`act` works with."""
+    """Return the number of units' values that :func:`act` needs."""
     kept = 1 if pilot.recurrence == FEED_FORWARD else 3
     return len(pilot.source) + kept * int(pilot.hidden.sum())
 
@@ -122,7 +122,7 @@ def observe(pilot, x, y, theta, goal, time, readings, seen):
     Args:
         pilot: :class:`Pilot`.
         x, y, theta: pose, m, m, rad.
-        goal: the index of the goal that was the next one so far.
+        goal: the index of the last step's next goal.
         time: since the start, s.
         readings: [S] of sensors.
         seen: [I], written.
@@ -175,8 +175,8 @@ def act(pilot, genes, values, command):
     Args:
         pilot: :class:`Pilot`.
         genes: [G] of an individual.
-        values: [V] of the units, zeros at first; see :func:`units_of`. The first are the inputs,
-            the rest is written, and remembered by recurrent networks.
+        values: [V] of the units, zeros at the start; see :func:`units_of`. The first are the
+            inputs; the rest is written, and is the memory of recurrent networks.
         command: [C or more], written: the first C.
     """
     hidden, scale, recurrence = pilot.hidden, pilot.scale, pilot.recurrence
@@ -190,7 +190,7 @@ def act(pilot, genes, values, command):
                 first += count + 1
             at, count = after, hidden[layer]
     else:
-        # Inputs, the hidden units' tanh, what they are, and what they tend to.
+        # Inputs, the hidden units' tanh, their states, and their targets.
         count = hidden[0]
         if recurrence == CTRNN:
             first = count

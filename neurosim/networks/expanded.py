@@ -1,4 +1,4 @@
-"""Networks as plain sums: what all fast forms of them compute with."""
+"""Networks as plain sums, the basis of all fast forms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Expanded(NamedTuple):
     .. math:: \sum_p w_p \prod_i |x_i|^{e_{pi}}
               \cos\Bigl(\pi \sum_{i: x_i < 0} e_{pi}\Bigr) + \sum_i a_i x_i + b
 
-    Leading dimensions are of several networks.
+    Leading dimensions are several networks.
     """
 
     exponents: Tensor  #: of the product units, [..., P, I]
@@ -23,7 +23,7 @@ class Expanded(NamedTuple):
     bias: Tensor  #: [...]
 
     def signed(self, patterns: Tensor) -> Tensor:
-        """Return the weights of the product units where some inputs are negative, [..., S, P].
+        """Return the product units' weights for patterns of negative inputs, [..., S, P].
 
         Args:
             patterns: 1 where an input is negative, else 0, [S, I].

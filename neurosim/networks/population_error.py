@@ -1,12 +1,12 @@
 """The mean squared error of a whole population of networks, fast.
 
-Three things make it cheap, none of which changes what
-is computed (:meth:`ProductSummationNetwork.forward` is the plain form):
+Three facts make it cheap without a change of the result (:meth:`ProductSummationNetwork.forward` is
+the plain form):
 
 - all summation units of a network amount to one linear map;
 - ln|x| is the same for all networks;
-- the cosine of a product unit depends only on which of a row's inputs are negative. There are few
-  such sign patterns, and with the rows sorted by them there is a cosine a pattern, none a row.
+- the cosine of a product unit depends only on the signs of a row's inputs. There are few such sign
+patterns, and with sorted rows a cosine is needed for each pattern, not for each row.
 
 One exponential for each product unit and row remains. On a CPU the loop over rows is a compiled
 kernel; elsewhere it is done in tensors.
@@ -28,7 +28,7 @@ from neurosim.networks.sorted_rows import SortedRows
 class PopulationError:
     """The mean squared error of networks against fixed rows of data.
 
-    Called with genes it returns the error of each network, in single precision sums.
+    A call with genes returns the error of each network, summed in single precision.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class PopulationError:
             kernel: use the compiled kernel; by default on a CPU.
 
         Raises:
-            ValueError: if the kernel is to run elsewhere.
+            ValueError: if the kernel is requested on another device.
         """
         self.network = network
         on_cpu = x.device.type == "cpu"

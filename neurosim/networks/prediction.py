@@ -1,4 +1,4 @@
-"""Outputs of a few networks for many rows, fast: what a simulator in use computes."""
+"""Outputs of a few networks for many rows, fast, as simulators need them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from neurosim.networks.expanded import sign_patterns
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork
 
-#: With more inputs than this a table by sign pattern would be larger than what it saves.
+#: With more inputs than this, a table by sign pattern would cost more than it saves.
 _MOST_INPUTS = 8
 
 
@@ -16,8 +16,8 @@ class Prediction:
     """The outputs of given networks; called with scaled inputs [N, I], it returns [N, O].
 
     The summation units are one linear map, and the cosines of the product units are in a table by
-    sign pattern. :meth:`ProductSummationNetwork.forward` is the plain form, and the one that is
-    used for many inputs.
+    sign pattern. :meth:`ProductSummationNetwork.forward` is the plain form, which is used for many
+    inputs.
     """
 
     def __init__(self, network: ProductSummationNetwork, genes: Tensor):

@@ -5,17 +5,17 @@ A product unit multiplies powers of its inputs, :math:`\prod_i x_i^{w_i}`, with 
 plausible extension to backpropagation networks, Neural Computation 1, 1989).
 
 **Negative inputs.** A negative number to a real power is complex; as in Durbin and Rumelhart,
-and in nearly all since (Janson and Frenzel 1993, Leerink et al. 1995, Engelbrecht and Ismail
+and in nearly all later work (Janson and Frenzel 1993, Leerink et al. 1995, Engelbrecht and Ismail
 1999), only the real part is kept:
 
 .. math:: \Re \prod_i x_i^{w_i} = \prod_i |x_i|^{w_i} \, \cos\Bigl(\pi \sum_{i: x_i < 0} w_i\Bigr)
 
 **Zero inputs** have no logarithm, and a negative power of zero is infinite. The literature
 assumes that there are none, or scales the inputs to an interval away from zero (Martínez-Estudillo
-et al. 2006 to [1, 2]). Here that would lose what matters: that a motor stands still, and which way
-it turns, and that a displacement is about speed times duration. So inputs are scaled to [-1, 1]
-and the magnitude of each is taken to be at least ``floor``: an input that is zero counts as a very
-small positive one, which a positive exponent takes to nearly nothing. The sum of ``w_i ln|x_i|``
+et al. 2006 to [1, 2]). Here that would lose important facts: whether a motor stands, its direction,
+and that a displacement is about speed times duration. So inputs are scaled to [-1, 1], and the
+magnitude of each is at least ``floor``: a zero input counts as a very small positive one, which a
+positive exponent makes almost zero. The sum of ``w_i ln|x_i|``
 is kept within :data:`LOG_LIMIT`, so that no exponents overflow.
 """
 
@@ -39,7 +39,7 @@ Units = Annotated[int, Meta(ge=0, le=1_000_000)]
 
 
 class Weights(NamedTuple):
-    """The weights in a chromosome, by their place in the network; leading dimensions alike."""
+    """The weights in a chromosome by position in the network; leading dimensions are equal."""
 
     exponents: Tensor  #: of the product units, [..., P, I]
     product_weights: Tensor  #: from product units to the output, [..., P]
@@ -53,9 +53,9 @@ class Weights(NamedTuple):
 class ProductSummationNetwork(Checked):
     """The shape of a network with one output; its weights are one row of genes.
 
-    All activations are linear, as in the paper. Genes are laid out as the fields of
-    :class:`Weights` in order, each row by row. Product units have no bias: it would be a factor,
-    which their weight to the output is already.
+    All activations are linear, as in the paper. Genes are the fields of :class:`Weights` in order,
+    each row by row. Product units have no bias, because it would be a factor like their weight to
+    the output.
 
     Attributes:
         inputs: number of inputs I, scaled to about [-1, 1].
@@ -109,7 +109,7 @@ class ProductSummationNetwork(Checked):
         return torch.cat(parts, dim=-1)
 
     def log_magnitude(self, x: Tensor) -> Tensor:
-        """Return ln|x| of scaled inputs, the magnitude taken to be at least the floor."""
+        """Return ln|x| of scaled inputs, with magnitudes of at least the floor."""
         return x.abs().clamp(min=self.floor).log()
 
     def product_units(self, exponents: Tensor, x: Tensor) -> Tensor:
@@ -124,7 +124,7 @@ class ProductSummationNetwork(Checked):
         return magnitude.clamp(-LOG_LIMIT, LOG_LIMIT).exp() * torch.cos(torch.pi * turns)
 
     def forward(self, genes: Tensor, x: Tensor) -> Tensor:
-        """Return the outputs of networks, straight from the formulas.
+        """Return the outputs of networks, directly by the formulas.
 
         Args:
             genes: one row a network, [P, G].

@@ -1,4 +1,4 @@
-"""Rows of data sorted by which of their inputs are negative."""
+"""Rows of data sorted by the signs of their inputs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 27}
 
 
 class SortedRows:
-    """The inputs that the product units of all networks fraction.
+    """The inputs that the product units of all networks share.
 
     Attributes:
-        order: the rows' places in the data, [N].
+        order: the rows' indices in the data, [N].
         x: sorted inputs, [I, N], single precision.
         log: ln of their magnitudes, [I, N].
         patterns: 1 where an input is negative, [M, I].
@@ -39,6 +39,6 @@ class SortedRows:
         return self.log.numpy() * np.float32(1.0 / np.log(2.0))
 
     def blocks(self, start: int, end: int, width: int) -> list[tuple[int, int]]:
-        """Cut rows into blocks, ``width`` numbers a row."""
+        """Cut rows into blocks, with ``width`` numbers in each row."""
         rows = max(1, _BLOCK.get(self.x.device.type, 1 << 20) // max(1, width))
         return [(a, min(a + rows, end)) for a in range(start, end, rows)]

@@ -1,4 +1,4 @@
-"""Whether a robot that is commanded to move is seen to move."""
+"""A check that a robot moves when it is commanded to move."""
 
 from __future__ import annotations
 
@@ -15,29 +15,30 @@ from neurosim.recording.perimeter import Reckoning
 from tracking.live import Seen
 from tracking.markers.pair import LOST
 
-#: What is seen is later than what was commanded, by the delays of radio, motor and camera: up to so
-#: much, s, or up to that where light sensors guard the robot, and a slow camera may be used.
+#: Largest delay of a sight after its command, by radio, motor and camera, s; and the largest if
+#: light sensors guard the robot, so that a slow camera may be used.
 SLOWEST, SLOWEST_GUARDED = 0.4, 0.6
-#: Sights are remembered for so long, s, one in so many; two say something if so far apart.
+#: Time for which sights are kept, s; time between two kept ones; and time between two that are
+#: compared.
 MEMORY, BETWEEN, APART = 1.4, 0.05, 0.4
 #: Below this fraction of its full speed a robot may stand in its dead band.
 DEAD_BAND = 0.15
-#: A robot that should have moved by this fraction of its width, and is seen to move by less than
-#: this fraction of that, stands.
+#: A robot stands if it should have moved by this fraction of its width, and moved by less than this
+#: fraction of that distance.
 FAR, STANDS = 0.3, 0.25
 
 
 class Agreement:
     """Compares commands with sights, in the middle of a drive.
 
-    Distances are the way of the robot's middle, and that of turning: of two wheels their mean way.
+    Distances are those of the robot's middle and of turning: for two wheels, their mean distance.
 
     Args:
         full_speed: m/s.
-        arm: length at which a turn counts as a way, m; of two wheels half the track.
+        arm: length that converts a turn into a distance, m; for two wheels half the track.
 
     Attributes:
-        slowest: what is seen is at most so much later than what was commanded, s.
+        slowest: largest delay of a sight after its command, s.
     """
 
     def __init__(self, full_speed: float, arm: float):
@@ -49,13 +50,13 @@ class Agreement:
         self._fastest: deque[tuple[float, float]] = deque([(-math.inf, 0.0)])
 
     def afresh(self) -> Agreement:
-        """Return one of the same robot that remembers nothing."""
+        """Return a copy for the same robot without memory."""
         other = Agreement(self._full_speed, self._arm)
         other.slowest = self.slowest
         return other
 
     def sent(self, time: float, twist: NDArray) -> None:
-        """Remember that the robot was commanded a twist [3] (m/s, m/s, rad/s) at a time (s)."""
+        """Remember a commanded twist [3] (m/s, m/s, rad/s) and its time (s)."""
         fastest = math.hypot(twist[0], twist[1]) + self._arm * abs(twist[2])
         if fastest < DEAD_BAND * self._full_speed - 1e-9:
             twist, fastest = np.zeros(3), 0.0
@@ -65,9 +66,9 @@ class Agreement:
             self._fastest.popleft()
 
     def seen(self, time: float, pose: NDArray) -> bool:
-        """Remember that the robot was seen at a pose [3] at a time (s); return whether it counts.
+        """Remember a seen pose [3] and its time (s); return whether it counts.
 
-        Sights that follow the last one at once say nothing new.
+        A sight too soon after the last one does not count.
         """
         if self._seen and time < self._seen[-1][0] + BETWEEN:
             return False
@@ -77,7 +78,7 @@ class Agreement:
         return True
 
     def broken(self) -> bool:
-        """Return whether, since some sight, the robot should have moved, and stands."""
+        """Return whether the robot stands, although it should have moved since some sight."""
         if not self._seen:
             return False
         times = np.array([time for time, _ in self._seen])
@@ -91,18 +92,18 @@ class Agreement:
 
     @property
     def _speed(self) -> float:
-        """The fastest that the robot was commanded to be lately, m/s."""
+        """The largest speed of the last commands, m/s."""
         return max(speed for _, speed in self._fastest)
 
     def _commanded(self, times: NDArray) -> NDArray:
-        """Return the poses [T, 3] at some times [T] of a robot that does what it is commanded."""
+        """Return the poses [T, 3] at times [T] of a robot that follows its commands ideally."""
         poses = [np.zeros(3)]
         for begin, end in pairwise(times):
             poses.append(self._commands.predict(poses[-1], begin, end)[0])
         return np.array(poses)
 
     def _distances(self, poses: NDArray) -> NDArray:
-        """Return how far from each of the poses [T, 3] the robot was at most afterwards, [T] m."""
+        """Return the largest later distance of the robot from each of the poses [T, 3], [T] m."""
         change = poses[None] - poses[:, None]
         turn = np.abs(np.remainder(change[..., 2] + math.pi, 2 * math.pi) - math.pi)
         distance = np.hypot(change[..., 0], change[..., 1]) + self._arm * turn
@@ -110,13 +111,13 @@ class Agreement:
 
 
 class Pictures:
-    """Sees that a picture is another one, where nothing is tracked: a place for each.
+    """Notices new pictures if nothing is tracked, and gives each a different position.
 
-    ``last``, as a :class:`~neurosim.recording.spotter.Spotter` has it, is when the last picture
-    arrived (s), and [3] where its number stands for a place far from the others.
+    Like that of a :class:`~neurosim.recording.spotter.Spotter`, ``last`` is the time of the last
+    picture (s) and a pose [3]; its position comes from the picture's number, far from the others.
 
     Args:
-        on_seen: is shown every picture, in which nothing was found.
+        on_seen: called with every picture, without markers.
     """
 
     def __init__(self, on_seen: Callable[[Seen], None] | None = None) -> None:
@@ -128,7 +129,7 @@ class Pictures:
 
     @property
     def last(self) -> tuple[float, NDArray] | None:
-        """Return when which picture arrived; see the class."""
+        """Return the time and the position of the last picture; see the class."""
         with self._lock:
             return self._last
 

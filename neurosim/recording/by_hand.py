@@ -1,8 +1,8 @@
-"""Driving by hand: what a person wants, by keys or sticks.
+"""Driving by hand: a person's wishes, by keys or sticks.
 
 A person has levers, from -1 to 1: forward and turn of a robot on two wheels, else one for each
 number of a command. The page that shows them sends their positions ten times a second or more;
-where nobody does, the robot is stopped (:mod:`.hand_session`).
+without them, the robot is stopped (:mod:`.hand_session`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from neurosim.base.commands import Commands
 from neurosim.base.errors import UserError
 from tracking.datasets.recordings import BY_HAND
 
-#: The robot is stopped if nobody says where the levers are for so long, s.
+#: Time without lever positions after which the robot is stopped, s.
 SILENT = 0.35
 
 #: Keys that push and pull each lever, as browsers name them (``KeyboardEvent.code``).
@@ -27,19 +27,19 @@ ARROWS = (("ArrowUp", "ArrowDown"), ("ArrowLeft", "ArrowRight"))
 #: Axes of a game pad for each lever: up and left push.
 AXES = (1, 0, 2, 3)
 
-#: What stands on the page before the first command.
+#: State of the page before the first command.
 READY = "ready"
 
 
 @dataclass(frozen=True)
 class Lever:
-    """One thing that a person moves, from -1 to 1.
+    """A lever that a person moves, from -1 to 1.
 
     Attributes:
         name: of it.
         push: keys that move it to 1.
         pull: keys that move it to -1.
-        axis: of a game pad; None where there are none left.
+        axis: of a game pad; None if no axis is left.
     """
 
     name: str
@@ -65,7 +65,8 @@ def command_of(takes: Commands, levers: Sequence[float], max_speed: float) -> tu
     Args:
         takes: the numbers of the robot's command.
         levers: of each lever, -1 to 1.
-        max_speed: of a lever at its end, percent of the robot's limit; angles go to their limit.
+        max_speed: speed of a lever at its end, percent of the robot's limit; angles use their full
+            range.
     """
     values = list(levers)
     if _has_sides(takes):
@@ -79,15 +80,15 @@ def command_of(takes: Commands, levers: Sequence[float], max_speed: float) -> tu
 
 
 def _has_sides(takes: Commands) -> bool:
-    """Return whether a command is of a left and a right wheel."""
+    """Return whether a command has a left and a right wheel."""
     return takes.body == "wheels" or takes.names == ("left", "right")
 
 
 class Hand:
-    """Where the one who shows the levers and the session that sends commands meet; for threads.
+    """The link between the page with the levers and the session that sends commands; for threads.
 
     Args:
-        max_speed: of a lever at its end, percent of the robot's limit.
+        max_speed: speed of a lever at its end, percent of the robot's limit.
         now: this computer's clock, s.
     """
 
@@ -110,15 +111,15 @@ class Hand:
     # The page
 
     def take(self, page: str, levers: Sequence[float] | None, speed: float = 1.0) -> None:
-        """Take where the levers are.
+        """Take the levers' positions.
 
         Args:
             page: a name of the page's own.
-            levers: each -1 to 1; None: the page goes away.
-            speed: fraction of the greatest speed that a lever at its end is, 0 to 1.
+            levers: each -1 to 1; None: the page is closed.
+            speed: fraction of the greatest speed for a lever at its end, 0 to 1.
 
         Raises:
-            UserError: if another page drives, or there are other levers.
+            UserError: if another page drives, or the number of levers is wrong.
         """
         with self._lock:
             if page != self._page and self._is_heard():
@@ -166,12 +167,12 @@ class Hand:
 
     @property
     def over(self) -> bool:
-        """Whether the drive is to end."""
+        """Whether the drive should end."""
         with self._lock:
             return self._ended is not None
 
     def wish(self) -> tuple[float, ...] | None:
-        """Return the command that is wanted now; None: nobody drives."""
+        """Return the person's present command; None: nobody drives."""
         with self._lock:
             if self._takes is None or self._levers is None or not self._is_heard():
                 return None

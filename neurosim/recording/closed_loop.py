@@ -1,9 +1,9 @@
-"""A session in closed loop: a controller that sees is asked for every command.
+"""A session in closed loop: a controller gives every command.
 
-A command is due when the one before is over, at a steady rate if all are equally long. Shortly
-before that the robot is looked at: its sensors are read last, so that what the controller knows is
-hardly older than a reading takes. How long that is, the last few looks say, the first of them at a
-robot that stands still.
+A command is due at the end of the previous one, at a steady rate if all are equally long. Shortly
+before, the robot is observed. Its sensors are read last, so that the controller's inputs are hardly
+older than the duration of a reading. The last few observations tell this duration; the first ones
+are made while the robot stands.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from neurosim.robots.base import Counters, Robot, Sensors, read_sensors, sensors
 from neurosim.robots.odometry import Odometry
 from tracking.datasets.recordings import Recording
 
-#: How long a look takes is taken from so many, the longest left out: it may be an accident.
+#: Number of observations that give their duration; the longest, possibly an accident, is left out.
 LOOKS = 5
-#: Before the first command as many looks are rehearsed, fewer (two at the least) where they take
-#: longer together, s: long looks differ little from one another.
+#: Longest time of the observations before the first command, s; there are fewer (at least two) if
+#: they take longer, because long ones differ little.
 REHEARSED = 0.5
-#: So much more time is left for a look than it takes.
+#: Factor of the time for an observation over its duration.
 MARGIN = 1.1
 #: A command that is later than this fraction of its duration has missed its deadline.
 LATE = 0.1
@@ -36,13 +36,12 @@ LATE = 0.1
 
 @dataclass
 class Deadlines:
-    """How well a controller kept its rate.
+    """Late commands of a controller.
 
     Attributes:
         steps: commands that were sent.
-        missed: those that were sent later than they were due by more than a tenth of their
-            duration.
-        worst_late_s: the latest of all, s.
+        missed: commands that were late by more than a tenth of their duration.
+        worst_late_s: greatest delay, s.
     """
 
     steps: int = 0
@@ -50,7 +49,7 @@ class Deadlines:
     worst_late_s: float = 0.0
 
     def sent(self, late: float, duration: float) -> bool:
-        """Count a command that was sent so late (s); return whether it missed its deadline."""
+        """Count a command with its delay (s); return whether it missed its deadline."""
         missed = late > LATE * duration
         self.steps += 1
         self.missed += missed
@@ -64,7 +63,7 @@ def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
     Args:
         source: the controller.
         robot: connected or not.
-        sees: whether a camera tells where the robot is while it drives.
+        sees: whether a camera tracks the robot while it drives.
     """
     kind = robot.describe().get("kind", "robot")
     names = sensors_read_with(robot)
@@ -85,13 +84,13 @@ def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
 
 
 class ClosedLoopSession(Session):
-    """One session in which a controller is asked for every command; see :class:`Session`.
+    """One session in which a controller gives every command; see :class:`Session`.
 
-    At a line, at the edge of the board and where the robot is lost it ends, unless the guard
-    ignores the perimeter; a controller that needs the pose is never driven without one.
+    It ends at a line, at the edge of the board and when the robot is lost, unless the guard ignores
+    the perimeter. A controller that needs the pose never drives without one.
 
     Attributes:
-        deadlines: how well the rate was kept so far.
+        deadlines: late commands so far.
     """
 
     go_on = "at its start and begin again"
@@ -113,13 +112,13 @@ class ClosedLoopSession(Session):
         wanted = set(source.sensors)
         if source.reads and not wanted and isinstance(robot, Sensors):
             wanted.update(robot.sensor_names)
-        # What guards the perimeter is read at every step, too.
+        # The sensors of the guard are read at every step, too.
         if self._guard.at_line != "ignore" and self._guard.by == "both":
             wanted.update(LINES)
         self._names = sensors_read_with(robot, wanted)
 
     def run(self) -> bool:
-        """Drive between a flash and a flash; return whether nothing is left to be driven."""
+        """Drive between two flashes; return whether no command is left."""
         if self._spotter is None and isinstance(self._robot, Counters):
             self._odometry = Odometry(self._robot, self._seeing.start)
         with self._recording.observation_log(self._names) as log:
@@ -127,7 +126,7 @@ class ClosedLoopSession(Session):
             return self._run()
 
     def _drive(self) -> bool:
-        """Ask for every command; a drive that was stopped is over, too."""
+        """Get and send all commands; a stopped drive counts as finished."""
         source = self._seeing
         self._check_battery()
         self._rehearse()
@@ -161,11 +160,11 @@ class ClosedLoopSession(Session):
 
     @property
     def _lead(self) -> float:
-        """How long before a command is due the robot is looked at, s."""
+        """Time between an observation and its command, s."""
         return MARGIN * sorted(self._took)[-2]
 
     def _rehearse(self) -> None:
-        """Look and ask while the robot stands still, to learn how long that takes."""
+        """Observe and compute commands while the robot stands, to measure their duration."""
         while len(self._took) < 2 or (len(self._took) < LOOKS and sum(self._took) < REHEARSED):
             looked = self._clock.now()
             _, seen = self._observe(looked, 0.0)
@@ -178,12 +177,12 @@ class ClosedLoopSession(Session):
         """Look at the robot.
 
         Args:
-            due: when the next command is to be sent; a pose that is tracked is predicted to then.
-            since: that, since the first command was due, s.
+            due: time of the next command, to which a tracked pose is predicted.
+            since: the same since the first command was due, s.
 
         Returns:
-            When the robot was at the pose (or looked for the readings, if there is none), by its
-            clock, and what it sees.
+            Time of the pose (or of the readings, if there is no pose) by the robot's clock, and the
+            observation.
         """
         time, pose, sight = self._clock.now(), None, None
         if self._odometry is not None:
@@ -197,17 +196,17 @@ class ClosedLoopSession(Session):
         return time, Observation(since, pose, readings, sight)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
-        """Write down what was seen, and the command that follows from it, if one does."""
+        """Write down the observation, and its command, if any."""
         pose = (None,) * 3 if seen.pose is None else np.round(seen.pose, 6)
         readings = (seen.readings[name] for name in self._names)
         self._seen_log.append(self._session, number, round(time, 6), *pose, *readings)
 
     def _look(self, due: float) -> None:
-        """See and write down where the robot is, at the end of the last command or later."""
+        """Observe and write down the pose, at the end of the last command or later."""
         self._keep(*self._observe(due, math.nan))
 
     def _stopped(self) -> None:
-        """See where the robot comes to rest."""
+        """Observe the robot until it is at rest."""
         self._sleep_until(self._sent + self._seeing.rest)
         self._look(self._clock.now())
 
@@ -219,7 +218,7 @@ class ClosedLoopSession(Session):
         return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
 
     def _cut(self) -> bool:
-        """Stop at once and look where that was; the drive is then over: return True."""
+        """Stop at once and observe the pose; return True, because the drive is over."""
         if self.deadlines.steps:
             self._write("cut", self._rest, number=self.deadlines.steps - 1)
         self._end_early()
@@ -227,7 +226,7 @@ class ClosedLoopSession(Session):
         return True
 
     def _is_lost(self) -> bool:
-        """Return whether nothing tells where the robot is, though that must be known."""
+        """Return whether the pose is unknown, although it is needed."""
         if self._seeing.needs_pose and self._spotter is not None:
             return self._spotter.unseen(self._clock.now()) > self._guard.unseen
         return super()._is_lost()

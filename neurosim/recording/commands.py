@@ -1,7 +1,7 @@
-"""Where motor commands come from: the paper's random ones, a given list, or who looks first.
+"""Sources of motor commands: the paper's random ones, a given list, or a closed loop.
 
-Anything with ``command(index)`` and ``describe()`` is a source; the recorder takes it as an
-argument. One that is shown what the robot sees before each command is a :class:`SeeingSource`.
+Any object with ``command(index)`` and ``describe()`` is a source for the recorder. A source that
+gets the robot's observations before each command is a :class:`SeeingSource`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.declared import Checked, Fraction, Percent, Seed
 from neurosim.base.errors import UserError
 
-#: How long a random command may take, s.
+#: Range of a random command's duration, s.
 CommandTime = Annotated[float, Meta(ge=0.001, le=60)]
 
 
@@ -31,7 +31,7 @@ class Command:
 
     @property
     def row(self) -> tuple[float, ...]:
-        """The numbers, and the duration behind them."""
+        """The numbers, followed by the duration."""
         return (*self.numbers, self.duration)
 
     @classmethod
@@ -42,10 +42,9 @@ class Command:
 
 
 class CommandSource(Protocol):
-    """Where commands come from: anything that gives command number ``index``, from 0.
+    """A source of commands, which gives command number ``index``, from 0.
 
-    The same index gives the same command, so that an interrupted recording goes on as it would
-    have gone.
+    The same index gives the same command, so that an interrupted recording continues unchanged.
     """
 
     def command(self, index: int) -> Command:
@@ -63,10 +62,10 @@ class Observation:
 
     Attributes:
         time: since the first command was due, s.
-        pose: where the robot is, [3] (m, m, rad, board frame), or None where nothing says it.
+        pose: pose of the robot, [3] (m, m, rad, board frame), or None if it is unknown.
         readings: of its sensors by name, 0..1.
-        sight: where a camera last saw it, [3], and how long before the command is due that was, s;
-            None where no camera tells.
+        sight: last pose seen by a camera, [3], and its age when the command is due, s; None without
+            a camera.
     """
 
     time: float
@@ -77,14 +76,14 @@ class Observation:
 
 @runtime_checkable
 class SeeingSource(Protocol):
-    """Gives a command for what is seen: a controller in closed loop.
+    """Gives a command for each observation: a closed-loop controller.
 
     Attributes:
-        steps: how many commands it gives; each is asked for when the one before is over.
-        rest: how long the robot is watched after it was stopped, s.
-        start: pose [3] where the robot stands at first (m, m, rad).
+        steps: number of its commands; each is computed at the end of the previous one.
+        rest: time for which the robot is observed after the stop, s.
+        start: first pose [3] of the robot (m, m, rad).
         sensors: names of the sensors that it needs.
-        reads: whether the sensors are read, needed or not.
+        reads: whether the sensors are read, even if they are not needed.
         needs_pose: whether it needs the pose.
     """
 
@@ -96,15 +95,15 @@ class SeeingSource(Protocol):
     needs_pose: bool
 
     def begin(self) -> None:
-        """Begin a trial: whatever was seen before is forgotten."""
+        """Begin a trial, and forget earlier observations."""
         ...
 
     def react(self, seen: Observation) -> Command | None:
-        """Return the command that follows, which holds for its duration; None: it was the last."""
+        """Return the next command, which lasts for its duration; None after the last one."""
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Describe it for a recording."""
+        """Describe the source for a recording."""
         ...
 
 
@@ -140,7 +139,7 @@ class RandomCommands(Checked):
             )
 
     def command(self, index: int) -> Command:
-        """Return command ``index``; percents are whole ones, as the NXT takes them."""
+        """Return command ``index``; percents are whole numbers, which the NXT needs."""
         rng = np.random.default_rng([self.seed, index])
         kind, numbers = rng.random(), self.takes.numbers
         fractions = rng.uniform(0, self.max_speed, len(numbers)) / 100
@@ -172,7 +171,7 @@ class FixedCommands:
 
     Attributes:
         commands: in the order in which they are sent.
-        how: what recording.json says of where they are from; ``kind`` is one of its keys.
+        how: their origin for recording.json; ``kind`` is one of its keys.
     """
 
     commands: Sequence[Command]
@@ -183,5 +182,5 @@ class FixedCommands:
         return self.commands[index]
 
     def describe(self) -> dict[str, Any]:
-        """Return where the commands are from, and the commands themselves."""
+        """Return the commands' origin, and the commands themselves."""
         return {**self.how, "commands": [list(c.row) for c in self.commands]}

@@ -1,7 +1,7 @@
 """One session of a recording in which a person drives.
 
-Commands change as the person's levers do and are written down as they are sent. They have no
-duration: each holds until the next line of the log.
+Commands follow the person's levers, and are written down when they are sent. They have no duration:
+each lasts until the next line of the log.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from neurosim.recording.session import BATTERY_EVERY, LOOK_EVERY, SeenToStand, S
 from neurosim.robots.base import Robot, drive_for
 from tracking.datasets.recordings import Recording
 
-#: Commands follow each other no faster, s; a robot that takes longer gets the newest one.
+#: Shortest time between commands, s; a slower robot gets the newest one.
 STEP = 0.06
-#: A command is sent again after so long, s, and given to robots that stop by themselves for twice
-#: as long.
+#: Time after which a command is sent again, s; robots that stop by themselves get it for twice as
+#: long.
 REFRESH = 0.3
-#: A robot that stood for so long, s, waits: nothing is learned from it then.
+#: Time after which a standing robot counts as waiting, s, from which nothing is learned.
 IDLE = 3.0
 
 NOBODY = "nobody drives: the page is closed, hidden or not connected"
@@ -36,8 +36,8 @@ NOT_SEEN = "the robot is not seen"
 class HandSession(Session):
     """One session in which a person drives; see :class:`~neurosim.recording.session.Session`.
 
-    Where the guard stops the robot, the person lets go of the levers first. Then the robot can be
-    driven back inside, or carried: what happens until its next command is no data.
+    After a stop by the guard, the person must release the levers. Then the robot can be driven back
+    inside, or carried; its motion until the next command is not used.
     """
 
     def __init__(self, recording: Recording, session: int, robot: Robot, hand: Hand, *others: Any):
@@ -45,9 +45,11 @@ class HandSession(Session):
         self._hand = hand
         numbers = recording.commands()["command"].dropna()
         self._number = 0 if numbers.empty else int(numbers.max()) + 1
-        #: Whether nobody drives; whether the levers were let go since the guard stopped the robot.
+        #: Whether nobody drives; whether the levers were released since the guard stopped the
+        #: robot.
         self._alone, self._released = True, True
-        #: Where the robot went when the guard stopped it, [2] in its frame; None: it is inside.
+        #: Direction of motion when the guard stopped the robot, [2] in its frame; None: it is
+        #: inside.
         self._outward: NDArray | None = None
         self._refreshed = 0.0
 
@@ -67,7 +69,7 @@ class HandSession(Session):
         return True
 
     def _look_around(self) -> None:
-        """Stop the robot where the guard says so, or where it does not move."""
+        """Stop the robot if the guard requires it, or if it does not move."""
         try:
             self._check_camera()
         except SeenToStand:
@@ -80,7 +82,7 @@ class HandSession(Session):
             return
         if self._outward is not None and self._on_line(readings) is None:
             self._outward = None
-        # On the line its sensors say nothing of where it goes.
+        # On the line its sensors do not tell its direction.
         if self._must_stop(readings if self._outward is None else {}):
             known = self._takes.moves_as_known
             self._outward = self._takes.twist(self._numbers)[:2] if known else np.zeros(2)
@@ -90,7 +92,7 @@ class HandSession(Session):
                 self._hand.end()
 
     def _follow(self, wish: tuple[float, ...] | None) -> bool:
-        """Do what is wanted, as far as the robot may; return whether a command was sent."""
+        """Follow the levers as far as the guard allows; return whether a command was sent."""
         runs = self._running is not None
         if wish is None:
             if runs:
@@ -126,7 +128,7 @@ class HandSession(Session):
         self._refreshed = self._clock.now()
 
     def _refusal(self, wish: tuple[float, ...]) -> str:
-        """Return why the guard does not let a command begin, or nothing."""
+        """Return the guard's reason against a command, or an empty text."""
         if self._guard.at_line == "ignore" or self._takes.stands(wish):
             return ""
         if self._is_lost():
@@ -142,7 +144,7 @@ class HandSession(Session):
         return OUTSIDE if there > max(self._perimeter.beyond(pose), 0.0) else ""
 
     def _hold_back(self, why: str) -> None:
-        """Stop the robot until the person has let go of the levers."""
+        """Stop the robot until the person has released the levers."""
         self._say(why)
         self._released = False
         self._stand(f"{why}. Let go, then drive back inside or carry the robot")

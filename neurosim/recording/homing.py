@@ -1,8 +1,8 @@
 """The direction to the inside, for a robot that knows only its commands.
 
-The place where the perimeter line encloses is convex: from a point on the line, straight ahead to
-any point where the robot has been is inside. Where it has been is dead-reckoned from its
-commands, which is good for the last half minute or so and needs no sensor.
+The area inside the perimeter line is convex: the straight path from a point on the line to any
+former position of the robot is inside. Former positions come from dead reckoning by commands, which
+is accurate for about half a minute and needs no sensor.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from neurosim.base import se2
 
 
 class Homing:
-    """Dead reckoning with a memory of where the robot has been.
+    """Dead reckoning with a memory of the robot's positions.
 
     Args:
-        memory: how long where it was is remembered, s.
+        memory: time for which positions are kept, s.
     """
 
     def __init__(self, memory: float = 30.0):
@@ -30,7 +30,7 @@ class Homing:
         self._time = 0.0
 
     def moved(self, twist: NDArray, seconds: float) -> None:
-        """Go on from where it was, with a twist [3] (m/s, m/s, rad/s) for so many seconds."""
+        """Move by a twist [3] (m/s, m/s, rad/s) for some seconds."""
         steps = max(1, math.ceil(seconds / 0.1))
         step = se2.exp(np.asarray(twist, float) * seconds / steps)
         for _ in range(steps):
@@ -41,19 +41,19 @@ class Homing:
             self._trail.popleft()
 
     def turn_inside(self) -> tuple[float, float]:
-        """Return how far to turn (rad, at most a quarter turn) and the sign of the drive.
+        """Return the turn (rad, at most a quarter turn) and the sign of the drive.
 
-        The direction is that of the middle of where the robot has been, reached forwards (+1) or
-        backwards (-1), whichever takes less turning.
+        The direction is to the mean of the former positions, forwards (+1) or backwards (-1),
+        whichever needs the smaller turn.
         """
         places = np.array([place[1:] for place in self._trail])
         return bearing(self._pose, places.mean(axis=0) if len(places) else np.zeros(2))
 
 
 def bearing(pose: NDArray, goal: NDArray) -> tuple[float, float]:
-    """Return how far to turn (rad, at most a quarter turn) and the sign of the drive to a goal.
+    """Return the turn (rad, at most a quarter turn) and the sign of the drive to a goal.
 
-    The goal is reached forwards (+1) or backwards (-1), whichever takes less turning.
+    The goal is reached forwards (+1) or backwards (-1), whichever needs the smaller turn.
 
     Args:
         pose: [3] in metres and radians.

@@ -1,4 +1,4 @@
-"""Which markers a robot carries, as a person says it."""
+"""The markers of a robot, from a user's option."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tracking.markers.colours import colour_pair
 from tracking.markers.sought import sought
 from tracking.markers.tags import DEFAULT_ID, KINDS, Tag, kind_of
 
-#: Robots whose markers, and whose tag, are not the default, by the name that ``--robot`` takes.
+#: Robots whose markers and tag are not the default, by their name for ``--robot``.
 OTHERS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "khepera": (KHEPERA_MARKERS, KHEPERA_TAG),
     "virtual-khepera": (KHEPERA_MARKERS, KHEPERA_TAG),
@@ -29,19 +29,19 @@ def marker_settings(
     tag: int | None = None,
     recorded: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the markers of a robot, as recordings have them.
+    """Return the markers of a robot in the form of recording.json.
 
     Args:
         markers: two colours ``FRONT,REAR``; a kind of tag; or a ``markers.json``, as ``neurosim
             watch`` writes it; None for the robot's default.
         robot: its name.
         tag: the tag's number; without ``markers``, that of an AprilTag.
-        recorded: what a recording says of them, in place of the robot's default.
+        recorded: markers of a recording, which replace the robot's default.
 
     Raises:
-        UserError: for a colour or tag that is not known, a tag's number where there are colours,
-            or colours that a virtual robot does not carry.
-        FileError: if the file is not one of markers.
+        UserError: for an unknown colour or tag, a tag's number together with colours, or colours
+            that a virtual robot does not have.
+        FileError: if the file has no markers.
     """
     pair, square = OTHERS.get(robot, (DEFAULT_MARKERS, DEFAULT_TAG))
     default = recorded or pair
@@ -71,11 +71,11 @@ def _with_tag(markers: dict[str, Any], number: int | None) -> dict[str, Any]:
     """Return the same markers with another tag of the same dictionary, if there is a number.
 
     Raises:
-        UserError: if they are colours, or the colours or the tag are not known.
+        UserError: if they are colours, or the colours or the tag are unknown.
     """
     if number is not None:
         if markers.get("tag") is None:
             raise UserError("--tag is the number of a tag, but the robot's markers are colours")
         markers = {**markers, "tag": {**markers["tag"], "id": number}}
-    sought(markers)  # says what is wrong
+    sought(markers)  # raises the error
     return markers

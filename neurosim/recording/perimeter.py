@@ -1,4 +1,4 @@
-"""Whether a robot that is tracked stays on the board: where it is, and where it would stop."""
+"""A guard that keeps a tracked robot on the board by its predicted stopping point."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from neurosim.base.perimeter import DISTANCE_ERROR, EDGE, ENDS, LINE, STOPPING
 
-#: A picture is this old when it arrives, at most, s.
+#: Largest age of a picture when it arrives, s.
 LATENCY = 0.1
-#: Commands are remembered for so long, s.
+#: Time for which commands are kept, s.
 MEMORY = 5.0
 
 
@@ -25,12 +25,12 @@ class Stop:
 
     Attributes:
         code: of :data:`neurosim.base.perimeter.ENDS`.
-        time: when, s on the robot's clock.
+        time: time on the robot's clock, s.
         command: the number of the command, from 0; None: a manoeuvre.
-        into: how long the command had run, s.
+        into: time since the start of the command, s.
         sensor: the light sensor that met the line or the edge; None: the position was guarded.
-        pose: [3] where the robot was, as far as that was known.
-        unseen_since: a robot that was lost was seen last at this time, s; None: never.
+        pose: [3] pose of the robot, if it was known.
+        unseen_since: time of the last sighting of a lost robot, s; None: never.
     """
 
     code: int
@@ -42,17 +42,17 @@ class Stop:
     unseen_since: float | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return it for recording.json."""
+        """Return the reason for recording.json."""
         return asdict(self)
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Stop:
-        """Return the reason that :meth:`describe` described."""
+        """Return the reason from the result of :meth:`describe`."""
         pose = content.get("pose")
         return cls(**{**content, "pose": None if pose is None else tuple(pose)})
 
     def __str__(self) -> str:
-        """Return it as a sentence without its end."""
+        """Return the reason as a sentence without a full stop."""
         words = f"the robot {ENDS[self.code - 1]}"
         if self.sensor is not None:
             words += f" by its light sensor {self.sensor}"
@@ -68,24 +68,24 @@ class Stop:
 
 
 class Reckoning:
-    """Where a robot comes to by its last commands."""
+    """Predicts a robot's pose from its last commands."""
 
     def __init__(self) -> None:
         self._sent: deque[tuple[float, list[float]]] = deque([(-math.inf, [0.0, 0.0, 0.0])])
 
     def sent(self, time: float, twist: NDArray) -> None:
-        """Remember that the robot was commanded a twist [3] (m/s, m/s, rad/s) at a time (s)."""
+        """Remember a commanded twist [3] (m/s, m/s, rad/s) and its time (s)."""
         self._sent.append((time, np.asarray(twist, float).tolist()))
         while len(self._sent) > 1 and self._sent[1][0] < time - MEMORY:
             self._sent.popleft()
 
     def predict(self, pose: NDArray, since: float, until: float) -> tuple[NDArray, float]:
-        """Return the pose [3] at ``until`` (s), and the length of the way there (m).
+        """Return the pose [3] at ``until`` (s), and the length of the path to it (m).
 
         Args:
-            pose: where the robot was at ``since``.
-            since: s; not longer ago than :data:`MEMORY`.
-            until: s; after the last command, that goes on.
+            pose: pose of the robot at ``since``.
+            since: s; at most :data:`MEMORY` ago.
+            until: s; the last command continues until then.
         """
         x, y, heading = (float(value) for value in pose)
         distance, begins = 0.0, [*(begin for begin, _ in self._sent), math.inf]
@@ -107,7 +107,7 @@ class PositionGuard(Reckoning):
 
     Args:
         board: ``length`` and ``width`` in metres, the frame at its centre.
-        margin: how far inside the board's edge the middle of the axle must stay, m.
+        margin: smallest distance of the middle of the axle from the board's edge, m.
     """
 
     def __init__(self, board: Mapping[str, float], margin: float):
@@ -116,13 +116,13 @@ class PositionGuard(Reckoning):
         self._margin = margin
 
     def leaves(self, pose: NDArray, seen_at: float, now: float) -> bool:
-        """Return whether the robot must stop now, or it will not stand inside.
+        """Return whether the robot must stop now to stand inside.
 
-        A robot on its way back inside is let go.
+        A robot on its way back inside may continue.
 
         Args:
             pose: as last seen, [3].
-            seen_at: when that picture arrived, s.
+            seen_at: time when that picture arrived, s.
             now: s.
         """
         since = seen_at - LATENCY
@@ -132,9 +132,9 @@ class PositionGuard(Reckoning):
         return beyond + DISTANCE_ERROR * distance > 0 and beyond > self.beyond(here) + 1e-4
 
     def middle(self, clearance: float, rng: np.random.Generator) -> NDArray:
-        """Return a random place [2] with ``clearance`` (m) to every edge, if there is one."""
+        """Return a random position [2] with ``clearance`` (m) to every edge, if any exists."""
         return rng.uniform(-1, 1, 2) * np.maximum(self._half - clearance, 0.0)
 
     def beyond(self, pose: NDArray) -> float:
-        """Return how far beyond the margin a pose is, m; below 0 where it is inside."""
+        """Return a pose's distance beyond the margin, m; below 0 inside."""
         return float((np.abs(pose[:2]) - (self._half - self._margin)).max())

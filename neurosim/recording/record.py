@@ -1,4 +1,4 @@
-"""Drive a robot with commands and record what was sent, while a camera watches."""
+"""Drive a robot with commands, record them, and film the robot."""
 
 from __future__ import annotations
 
@@ -49,27 +49,27 @@ def record(
     options: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
 ) -> Recording:
-    """Record a robot's commands and the video of what they did.
+    """Record a robot's commands and the video of its motion.
 
     Args:
-        out: folder of the recording; new, or with ``resume`` one that was interrupted.
-        rig: the robot, not connected yet, and its camera, if it has one (a video from elsewhere is
-            joined when tracking).
-        source: where commands come from; one that sees is asked in closed loop, a hand drives
-            until it says that the drive is over.
-        settings: the rest.
+        out: folder of the recording; a new one, or with ``resume`` an interrupted one.
+        rig: the robot, not connected yet, and its camera, if any (tracking can use a video from
+            another program).
+        source: source of the commands; a closed-loop one gets observations; a person drives until
+            the end of the drive.
+        settings: further settings.
         calibration: calibration.json of the camera, copied into the recording.
         live: with a camera and its place over the board, track while recording: the robot is
             kept on the board by its position, and poses.csv is there when the recording ends.
-        on_seen: is shown every frame that was tracked; without live tracking every frame.
-        resume: go on where the recording stopped, in a new session.
+        on_seen: called with every tracked frame; without live tracking with every frame.
+        resume: continue an interrupted recording, in a new session.
         options: kept in recording.json, for resuming.
         say: takes messages for the user.
 
     Raises:
-        UserError: if ``out`` is wrong, or a setting differs from those of the
-            recording to be resumed; if a robot lacks what a source that sees needs.
-        LinkLost: if the robot stopped answering; what was recorded stays.
+        UserError: if ``out`` is wrong, a setting differs from those of the recording to be resumed,
+            or a robot lacks the inputs of a closed-loop source.
+        LinkLost: if the robot stopped answering; the recording so far is kept.
         BatteryLow: if the battery fell below the limit.
         CameraLost: if the camera delivers no more frames; the robot was stopped at once.
     """
@@ -96,7 +96,7 @@ def record(
     with robot, contextlib.ExitStack() as kept:
         if not resume:
             Recording.create(out, wanted, calibration)
-        # Read again, now that nobody else writes in it.
+        # Read again, because now no other process writes in it.
         kept.enter_context(locked(out, "recorded into"))
         recording = _resumed(out, wanted) if resume else Recording(out)
         if resume and calibration is not None:
@@ -104,11 +104,11 @@ def record(
         if recording.meta["complete"]:
             _write_poses(recording, say)
             return recording
-        # Connected, it can say more: its name, its firmware.
+        # After connecting it can give more: its name, its firmware.
         recording.meta["robot"] = robot.describe()
         number = recording.sessions + 1
-        # The part's name is written down before there is a part: a kill at any moment leaves
-        # a recording whose files are all named in it.
+        # The part's name is written before the part exists: after a kill at any moment the
+        # recording names all its files.
         video = f"video-{number:03d}.avi" if camera is not None else None
         session = recording.begin_session(video=video)
         try:
@@ -146,8 +146,8 @@ def record(
                         f"{error}; the commands so far are kept, put the robot {how}"
                     ) from None
                 finally:
-                    # Before the camera stops: it should still see the robot stand still, and
-                    # nothing that goes wrong with the video may leave the motors on.
+                    # Before the camera stops: it should see the robot at rest, and an error of the
+                    # video must not leave the motors on.
                     _stop_quietly(robot)
                     if camera is not None:
                         camera.stop()
@@ -160,7 +160,7 @@ def record(
             if rig.finish is not None:
                 rig.finish(out, session)
         if camera is not None and camera.failed:
-            # After the last command: what is missing is the end of the video.
+            # After the last command: only the end of the video is missing.
             raise UserError(
                 f"the camera stopped delivering frames; {out} keeps the film so far: check the "
                 "camera and continue with --resume"
@@ -175,7 +175,7 @@ def record(
 def _check_guard(
     settings: RecordSettings, robot: Robot, camera: Camera | None, tracked: bool
 ) -> None:
-    """Refuse what cannot keep the robot on the board, or cannot be kept, before anything moves."""
+    """Raise an error, before the robot moves, if the guard or the readings are impossible."""
     guard = settings.guard
     if guard.by == "position" and guard.at_line != "ignore" and (camera is None or not tracked):
         raise UserError(
@@ -193,7 +193,7 @@ def _check_source(
     camera: Camera | None,
     calibration: str | Path | None,
 ) -> None:
-    """Refuse what a controller cannot be driven with, before anything moves."""
+    """Raise an error, before the robot moves, if a controller cannot drive it."""
     sees = (
         camera is not None and calibration is not None and CameraModel.read(calibration).has_board
     )
@@ -203,7 +203,7 @@ def _check_source(
 
 
 def _kind_of(source: CommandSource | SeeingSource | Hand) -> type[Session]:
-    """Return which session drives with the commands of a source."""
+    """Return the class of session for a source of commands."""
     if isinstance(source, Hand):
         return HandSession
     return ClosedLoopSession if isinstance(source, SeeingSource) else Session
@@ -225,9 +225,10 @@ def _to_both(sink: VideoSink, other: Spotter | Pictures) -> Callable[[float, np.
 
 
 def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
-    """Make poses.csv of what was seen live; a session that was not is tracked from its video.
+    """Make poses.csv from live tracking; a session without it is tracked from its video.
 
-    So are all where what was seen live is doubted: the whole video says more.
+    If live tracking is doubtful, all sessions are tracked again, because the whole video tells
+    more.
     """
     model = _model(recording.path)
     sessions = range(1, recording.sessions + 1)
@@ -250,7 +251,7 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
 
 
 def _stop_quietly(robot: Robot) -> None:
-    # A dead line has been reported already; nothing more can be said over it.
+    # The error of a dead line was raised already; nothing can be sent over it.
     with contextlib.suppress(UserError):
         robot.stop()
 
@@ -279,13 +280,13 @@ def _wanted(
         "board": settings.board,
         **({} if settings.place is None else {"place": settings.place.to_json()}),
     }
-    return json.loads(json.dumps(wanted))  # tuples as lists, as they will be read back
+    return json.loads(json.dumps(wanted))  # tuples become lists, as in the file
 
 
 def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     recording = Recording(out)
     check_no_links(out)
-    # One that was killed between its last command and its poses still lacks these.
+    # A recording that was killed after its last command may lack its poses.
     unseen = not recording.is_tracked and (out / "sightings.csv").exists()
     if recording.meta["complete"] and not unseen:
         raise UserError(f"{out} is complete; there is nothing to resume")
@@ -306,7 +307,7 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     return recording
 
 
-#: What a resumed recording must share with its beginning: all of a part, or some keys of it.
+#: Parts, or keys of parts, that must be the same when a recording is resumed.
 _SAME: dict[str, tuple[str, ...] | None] = {
     "settings": None,
     "commands": ("numbers",),
@@ -330,7 +331,7 @@ def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
 
 
 def _check_calibration(path: Path, camera: Camera | None, markers: dict[str, Any]) -> None:
-    """Refuse a calibration before anything moves, rather than after the drive."""
+    """Raise an error for a wrong calibration before the robot moves."""
     model = CameraModel.read(path)
     if model.has_board:
         marker_geometry(markers, model)

@@ -1,4 +1,4 @@
-"""Recordings in rounds: what was recorded so far chooses the commands of the next round."""
+"""Recordings in rounds: the rounds so far determine the commands of the next one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Rounds(Checked):
     """How many commands each round has.
 
     Attributes:
-        commands: How many commands the whole recording has.
+        commands: Number of commands of the whole recording.
         size: Commands of a round of --guided; the first round has twice as many, all random.
     """
 
@@ -57,13 +57,13 @@ class Choose(Protocol):
     def __call__(
         self, made: list[Recording], source: RandomCommands, numbers: range, pose: Pose
     ) -> tuple[list[Command], dict[str, Any]]:
-        """Return the commands, and what the recording says of how they were chosen.
+        """Return the commands, and the description of the choice for the recording.
 
         Args:
             made: the rounds so far, tracked.
-            source: of random commands, among which is chosen.
-            numbers: of the commands to choose.
-            pose: where the robot stands.
+            source: of the random commands, from which the choice is made.
+            numbers: numbers of the commands to choose.
+            pose: pose of the robot.
         """
         ...
 
@@ -88,10 +88,10 @@ def record_rounds(
 
     Args:
         out: the folder of the rounds.
-        opened: opens robot and camera for a session, from the seed of its noise and where the
-            robot stands; gives the rig (:class:`neurosim.recording.settings.Rig`), and what to
-            show every frame to, or None.
-        source: of random commands, among which is chosen.
+        opened: opens robot and camera for a session, from the seed of its noise and the robot's
+            pose; gives the rig (:class:`neurosim.recording.settings.Rig`), and a viewer of every
+            frame, or None.
+        source: of the random commands, from which the choice is made.
         settings: of the whole recording.
         rounds: their sizes.
         choose: chooses the commands of a round.
@@ -119,7 +119,7 @@ def record_rounds(
     with ExitStack() as kept:
         for number, indices in enumerate(numbers, start=1):
             folder = out / _name(number)
-            if out.exists() and not held:  # its first round makes it
+            if out.exists() and not held:  # the first round makes it
                 kept.enter_context(locked(out, "recorded into"))
                 held = True
             how = {
@@ -131,7 +131,7 @@ def record_rounds(
             }
             begun = (folder / "recording.json").exists()
             start = _end(made[-1]) if made else (0.0, 0.0, 0.0)
-            # What was chosen before an interruption stands; with other settings it is refused.
+            # The choice before an interruption is kept; other settings are an error.
             chosen = _chosen_before(folder, how) if begun else None
             if chosen is None and made:
                 _say(
@@ -146,7 +146,7 @@ def record_rounds(
                 _say(f"round {number} of {len(numbers)}: {len(indices)} commands")
                 sessions = sum(recording.sessions for recording in made)
                 sessions += there.sessions if there else 0
-                # Each session has noise of its own, and begins where the last one ended.
+                # Each session has its own noise, and begins where the last one ended.
                 with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
                     if chosen is None:
                         first = replace(source, takes=rig.robot.commands)
@@ -170,13 +170,13 @@ def record_rounds(
 
 
 def is_whole(out: Path, rounds: Rounds) -> bool:
-    """Return whether all rounds of a guided recording were recorded to their end and tracked."""
+    """Return whether all rounds of a guided recording are complete and tracked."""
     count = len(rounds.numbers())
     return len(list(_complete(out, count))) == count
 
 
 def parts_of(folder: Path) -> list[Path]:
-    """Return the rounds of a guided recording; of anything else the folder itself."""
+    """Return the rounds of a guided recording; for another folder, the folder itself."""
     if (folder / "recording.json").exists():
         return [folder]
     rounds = sorted(folder.glob("round-[0-9][0-9]*"), key=lambda path: (len(path.name), path.name))
@@ -188,7 +188,7 @@ def _name(number: int) -> str:
 
 
 def _complete(out: Path, rounds: int) -> Iterator[Path]:
-    """Give the rounds that were recorded to their end and tracked."""
+    """Give the rounds that are complete and tracked."""
     for number in range(1, rounds + 1):
         folder = out / _name(number)
         if not (folder / "recording.json").exists():
@@ -200,7 +200,7 @@ def _complete(out: Path, rounds: int) -> Iterator[Path]:
 
 
 def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
-    """Return the commands that a round was begun with."""
+    """Return the commands with which a round was begun."""
     path = folder / "recording.json"
     source = Recording(folder).meta.get("settings", {}).get("source", {})
     if source.get("kind") != how["kind"]:
@@ -222,7 +222,7 @@ def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
 
 
 def _end(recording: Recording) -> Pose:
-    """Return where the robot was last seen."""
+    """Return the last seen pose of the robot."""
     poses = recording.poses().certain()
     seen = poses.pose[poses.quality > 0]
     if not len(seen):

@@ -1,11 +1,11 @@
-"""One session of a recording: what is sent to the robot, and how it is kept on the board.
+"""One session of a recording: sends commands to the robot, and keeps it on the board.
 
-Commands are sent here as a list; :mod:`.closed_loop` asks for them one by one, and in
-:mod:`.hand_session` a person gives them.
+Here the commands are a list; in :mod:`.closed_loop` a controller gives them one by one, and in
+:mod:`.hand_session` a person does.
 
-Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands, motors that
-go straight from one command into the next, a perimeter line that the light sensors guard, and a
-lamp that flashes into the camera so that the video's clock can be found.
+Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands without pauses
+between them, a perimeter line that the light sensors guard, and a lamp whose flashes align the
+video's clock.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
 from tracking.camera.cameras import STALLED, Camera
 from tracking.datasets.recordings import CommandLine, Recording
 
-#: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
-#: and no whole number of frames long, so that each edge meets another phase of the shutter.
+#: Seconds that the lamp is on, off, on: two flashes of different length, unlike any reflection, and
+#: not a whole number of frames, so that each edge has another phase of the shutter.
 FLASHES = ((0.608, True), (0.408, False), (0.308, True))
 #: Seconds of stillness before and after the flashes.
 STILL = 0.5
 #: Sensors that see the perimeter line.
 LINES = ("line_left", "line_right")
-#: Without light sensors the robot's place is looked at so often, s.
+#: Time between two checks of the position without light sensors, s.
 LOOK_EVERY = 1 / 30
-#: Where commands do not wait in a list, the battery is asked so often, s.
+#: Time between two checks of the battery, if commands are not in a list, s.
 BATTERY_EVERY = 30.0
-#: A robot that is lost has so long to be put into view again, s.
+#: Time in which a lost robot must be put into view again, s.
 PATIENCE = 60.0
-#: A frame is written into the video so long after it was taken, at most, s.
+#: Largest delay of writing a frame into the video, s.
 WRITTEN_LATE = 2.0
-#: A robot that cannot turn on the spot looks so far ahead on its way back, s.
+#: Duration of one arc on the way back of a robot that cannot turn on the spot, s.
 ARC = 1.2
-#: Going back inside by position ends this near to its goal, m.
+#: Distance from the goal at which a return by position ends, m.
 NEAR = 0.25
 
 
@@ -82,10 +82,10 @@ class Session:
     """One session: from the flash at its start to the flash at its end.
 
     Attributes:
-        stopped: what made the guard end the drive; None: nothing did.
+        stopped: reason why the guard ended the drive; None: it did not.
     """
 
-    #: What a user does next where a session was interrupted.
+    #: Advice for a user after an interrupted session.
     go_on = "in the middle of the board and continue with --resume"
 
     def __init__(
@@ -112,7 +112,7 @@ class Session:
         known = takes.moves_as_known
         self._agreement = Agreement(*((takes.fastest, takes.arm) if known else (1.0, 1.0)))
         self._sights = spotter or pictures
-        # A robot that nothing keeps from walls may stand at one.
+        # An unguarded robot may stand at a wall.
         self._must_agree = known and (spotter is None or settings.guard.at_line != "ignore")
         self._session = session
         self._path = recording.path
@@ -131,17 +131,17 @@ class Session:
         self._sent = 0.0
         self._board: dict[str, float] = {}
         self._readings: LineLog | None = None
-        # Random turns of the way back inside; not the commands' seed, and another one each
-        # session, so that a robot that was stuck does not repeat itself.
+        # Random turns on the way back inside. The seed differs from the commands' and between
+        # sessions, so that a robot that was stuck does not repeat its moves.
         self._rng = np.random.default_rng([session, settings.commands])
 
     def run(self) -> bool:
-        """Drive between a flash and a flash; return whether all that was to be sent was sent.
+        """Drive between two flashes; return whether all commands were sent.
 
         Raises:
-            CameraLost: as soon as the camera delivers no more frames; the robot was stopped.
+            CameraLost: when the camera delivers no more frames; the robot was stopped.
             BatteryLow: if the battery fell below the limit.
-            UserError: if the robot does not find its way back, or is not seen for too long.
+            UserError: if the robot cannot return inside, or is not seen for too long.
         """
         with contextlib.ExitStack() as stack:
             if self._settings.readings and isinstance(self._robot, Sensors):
@@ -170,7 +170,7 @@ class Session:
         return done
 
     def _drive(self) -> bool:
-        """Send what waits; return whether all of it was sent."""
+        """Send the waiting commands; return whether all were sent."""
         total = self._settings.commands
         with Progress("recording", total, "commands") as progress:
             progress.advance(total - len(self._waiting))
@@ -201,14 +201,14 @@ class Session:
         return not self._waiting
 
     def _end_early(self) -> None:
-        """Keep and say what made the guard end the drive."""
+        """Keep and print the reason why the guard ended the drive."""
         self.stopped = self._stop
         self._say(str(self.stopped))
 
     def _stopped(self) -> None:
-        """Do what is to be done between the last command and the flash."""
+        """Do the work between the last command and the flash."""
 
-    # What is sent, and written down just before it is sent
+    # Commands are written down just before they are sent
 
     def _write(
         self,
@@ -236,7 +236,7 @@ class Session:
         self._sent = now
 
     def _send(self, numbers: tuple[float, ...], duration: float | None) -> None:
-        """Have the robot drive a command that is to last so long (s); None: until the next."""
+        """Send a command of some duration (s); None: until the next one."""
         if duration is None:
             self._robot.drive(numbers)
         else:
@@ -244,11 +244,11 @@ class Session:
 
     @property
     def _rest(self) -> tuple[float, ...]:
-        """The command of a robot that was stopped now."""
+        """The command for rest."""
         return self._takes.rest(self._numbers)
 
     def _flash(self) -> None:
-        """Stand still, and flash the lamp, where there is one."""
+        """Stand still, and flash the lamp, if there is one."""
         lamp = self._robot if isinstance(self._robot, Lamp) else None
         self._wait(2 * STILL)
         for seconds, on in FLASHES if lamp is not None else ():
@@ -264,12 +264,12 @@ class Session:
         self._sleep_until(self._clock.now() + seconds)
 
     def _sleep_until(self, time: float) -> None:
-        """Wait, and look after the camera meanwhile.
+        """Wait, and check the camera meanwhile.
 
         Raises:
             CameraLost: if it fails.
         """
-        # A clock may be short of a time by its last digits, and sleep no more.
+        # By rounding, a clock may be just before a time and not sleep any more.
         watched = self._camera is not None and self._camera.looked_after
         while watched and (now := self._clock.now()) < time - 1e-3:
             self._check_camera()
@@ -277,9 +277,9 @@ class Session:
         self._clock.sleep_until(time)
 
     def _check_camera(self) -> None:
-        """Raise CameraLost once the camera delivers no more frames, or always the same.
+        """Raise CameraLost when the camera delivers no more frames, or always the same one.
 
-        A robot that is held, or does not turn its wheels, looks like the latter.
+        A robot that is held, or whose wheels do not turn, looks like the latter.
         """
         camera = self._camera
         stalled = camera is not None and camera.stalled
@@ -300,13 +300,13 @@ class Session:
             )
 
     def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:
-        """Let a command run until ``end`` (s); return False as soon as the robot must stop.
+        """Let a command run until ``end`` (s); return False when the robot must stop.
 
         Args:
-            command: that was sent.
+            command: the last sent command.
             end: the robot's time.
-            took: how long a look takes, s, as far as that is known: the last one must not make
-                the next command late.
+            took: duration of an observation, s, if known: the last one must not make the next
+                command late.
         """
         moving = not self._takes.stands(command.numbers)
         guarded = self._guard.at_line != "ignore" and bool(self._board or self._spotter)
@@ -325,10 +325,10 @@ class Session:
     # The perimeter
 
     def _must_stop(self, readings: Mapping[str, float]) -> bool:
-        """Return whether the robot is on a line, leaves the board, or is lost; note what it is.
+        """Return whether the robot is on a line, leaves the board, or is lost; note the reason.
 
         Args:
-            readings: of the sensors, by name; those that see no line are passed over.
+            readings: of the sensors, by name; those that see no line are ignored.
         """
         sensor = self._on_line(readings)
         if sensor is not None:
@@ -343,7 +343,7 @@ class Session:
         return True
 
     def _note_stop(self, code: int, sensor: str | None = None) -> None:
-        """Note why the robot must stop now, and where it is as far as that is known."""
+        """Note why the robot must stop now, and its pose, if known."""
         now = self._clock.now()
         last = None if self._spotter is None else self._spotter.last
         pose, since = None, None
@@ -360,14 +360,14 @@ class Session:
         looked = round(self._clock.now(), 6)
         readings = self._robot.read_sensors()
         if self._readings is not None:
-            nowhere = (None,) * 3  # the camera says later where that was
+            nowhere = (None,) * 3  # the camera gives the position later
             self._readings.append(
                 self._session, self._running, looked, *nowhere, *readings.values()
             )
         return readings
 
     def _learn_board(self) -> None:
-        """Read what the bare board looks like to the sensors that see lines."""
+        """Read the bare board's brightness with the sensors that see lines."""
         if self._guard.at_line == "ignore" or self._guard.by == "position":
             return
         robot = self._robot
@@ -378,7 +378,7 @@ class Session:
             self._say("no light sensors: the perimeter is not guarded, stay with the robot")
 
     def _on_line(self, readings: Mapping[str, float]) -> str | None:
-        """Return the first light sensor that does not see the bare board; None: all do."""
+        """Return the first light sensor that does not see the bare board; None: all see it."""
         for name, bare in self._board.items():
             if name in readings and abs(readings[name] - bare) > self._guard.contrast:
                 return name
@@ -390,13 +390,13 @@ class Session:
         return last is not None and self._perimeter.leaves(last[1], last[0], self._clock.now())
 
     def _is_lost(self) -> bool:
-        """Return whether nothing tells where the robot is: no light sensors, and not seen."""
+        """Return whether the robot is lost: it has no light sensors, and is not seen."""
         if self._spotter is None or self._board or self._guard.at_line == "ignore":
             return False
         return self._spotter.unseen(self._clock.now()) > self._guard.unseen
 
     def _pose(self, at: float | None = None) -> NDArray | None:
-        """Return the robot's pose at a time soon (s), or now; None if it is not in sight."""
+        """Return the robot's pose at a near time (s), or now; None if it is not in sight."""
         last = None if self._spotter is None else self._spotter.last
         now = self._clock.now()
         if last is None or now - last[0] > self._guard.unseen:
@@ -417,7 +417,7 @@ class Session:
             self._wait(LOOK_EVERY)
 
     def _return_inside(self) -> None:
-        """Go back inside: by position where the robot is seen, else by dead reckoning."""
+        """Return inside: by position if the robot is seen, else by dead reckoning."""
         if self._is_lost():
             self._wait_for_sight()
         if self._pose() is None:
@@ -426,7 +426,7 @@ class Session:
             self._return_to_middle()
 
     def _return_to_middle(self) -> None:
-        """Drive by position to where there is room for a long straight run, and turn some way."""
+        """Drive by position to a point with room for a long straight run, and turn at random."""
         goal = self._perimeter.middle(self._guard.retreat, self._rng)
         if not self._takes.turns_on_the_spot:
             self._return_by_arcs(goal)
@@ -444,15 +444,15 @@ class Session:
             angle, direction = bearing(pose, goal)
             self._turn(angle)
             straight, speed = self._straight(direction)
-            # In pieces, so that it is seen when it goes astray.
+            # In pieces, so that errors are noticed.
             self._manoeuvre(straight, min(distance / speed, 1.0), look=False)
             self._manoeuvre(self._rest, 0.3, look=False)
         self._give_up()
 
     def _return_by_arcs(self, goal: NDArray) -> None:
-        """Drive to a place [2] as a car does, forward and back, each time by the best of some arcs.
+        """Drive to a position [2] like a car, forward and back, each time by the best of some arcs.
 
-        That is the one after which the robot is nearest, and on the board.
+        The best arc ends nearest to the position, and on the board.
         """
         speed = self._guard.speed / 100 * self._takes.fastest
         turns = np.linspace(-1, 1, 5) * speed / self._takes.arm
@@ -473,9 +473,9 @@ class Session:
         self._give_up()
 
     def _return_from_line(self) -> None:
-        """Drive away from the line, to where the robot has been and beyond, then turn some way.
+        """Drive from the line over the robot's former positions and beyond, then turn at random.
 
-        Most of a board's width of it leaves room for a long straight run not to be cut again.
+        A distance of most of the board's width leaves room for a long straight run.
         """
         guard = self._guard
         for _ in range(12):
@@ -483,12 +483,12 @@ class Session:
             self._turn(angle)
             straight, speed = self._straight(direction)
             seconds = guard.retreat / speed
-            # The first stretch takes the sensors off the line they stand on.
+            # The first stretch moves the sensors off the line.
             self._manoeuvre(straight, 0.3 * seconds, look=False)
             began = self._clock.now()
             arrived = self._manoeuvre(straight, 0.7 * seconds, look=True)
             if not arrived and self._clock.now() - began > 0.2 * seconds:
-                # So far from the first line, this one is on the other side: half way back.
+                # At this distance, this line is on the other side: go half way back.
                 self._manoeuvre(self._straight(-direction)[0], 0.3 * seconds, look=False)
                 arrived = True
             if arrived:
@@ -542,7 +542,7 @@ class Session:
 
 
 def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
-    """Return the commands still to be sent: all that no session sent to their end, and filmed."""
+    """Return the remaining commands: all that no session has completed and filmed."""
     attempts: dict[int, int] = {}
     settled: set[int] = set()
     every = list(recording.commands().itertuples())
@@ -565,10 +565,10 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
 
 
 def _filmed_until(recording: Recording, lines: list[CommandLine]) -> dict[int, float]:
-    """Return until when the robot was filmed in each session, s on the robot's clock.
+    """Return the time of the last filmed frame in each session, s on the robot's clock.
 
-    A kill loses frames that were still to be written into the video, though they are counted. Live
-    tracking is kept without the video.
+    A kill loses frames that were not yet written into the video, although they are counted. Live
+    tracking does not depend on the video.
     """
     until = {line.session: math.inf for line in lines}
     ended = {line.session for line in lines if line.kind == "end"}

@@ -27,22 +27,23 @@ from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
 
 @dataclass(frozen=True)
 class Guard(Checked):
-    """How the robot is kept on the board, by light sensors and by its tracked position.
+    """The guard that keeps the robot on the board, by light sensors and by its tracked position.
 
     Attributes:
         at_line: Reaction if a light sensor sees a line or the robot reaches the board's edge:
             return inside and continue, end the session, or ignore it.
         contrast: Difference of a light sensor's reading (0..1) from that of the bare board at
             which it is a line.
-        retreat: metres to drive back over, away from the line: more than the longest straight
-            command, so that a robot sent back has room ahead of it.
+        retreat: distance to drive back from the line, m: more than the longest straight command, so
+            that the robot then has room ahead of it.
         speed: of the retreat, in percent.
-        attempts: how often a command is sent again if it was cut.
-        lead_in: seconds to drive the previous command's speeds again before a command that was
-            cut is repeated: it then starts from what it would have started from.
-        margin: by position, the middle of the axle stays so far inside the board's edge, m.
-        unseen: without light sensors, a robot that was not seen for so many seconds is stopped
-            until it is.
+        attempts: number of times that a cut command is sent again.
+        lead_in: seconds for which the previous command is driven again before a cut command is
+            repeated, so that it begins at the same speeds.
+        margin: smallest distance of the middle of the axle from the board's edge, for the guard by
+            position, m.
+        unseen: time without sight, s, after which a robot without light sensors is stopped until it
+            is seen.
         by: Guard of the board: light sensors and the tracked position, or only the position, if the
             board has other lines than the perimeter.
     """
@@ -60,16 +61,17 @@ class Guard(Checked):
 
 @dataclass(frozen=True)
 class Rig:
-    """A robot, and what films it.
+    """A robot and its camera.
 
     Attributes:
-        robot: its driver; its motors are stopped whatever happens. That of a real robot is
-            connected, as is a virtual one inside ``with``.
-        camera: what films it, or None.
-        finish: what is to be called with (folder, session) when a session's files are closed,
-            whatever happened, or None; the virtual lab writes its truth there.
-        lab: what makes the same virtual lab again; None for a real robot.
-        place: puts a virtual robot at a pose (m, m, rad); None for a real one, which a person puts.
+        robot: its driver; its motors are always stopped at the end. It is connected by the
+            recorder; a virtual one inside ``with``.
+        camera: its camera, or None.
+        finish: a function that is always called with (folder, session) after a session's files are
+            closed, or None; the virtual lab writes its truth there.
+        lab: settings of the virtual lab; None for a real robot.
+        place: places a virtual robot at a pose (m, m, rad); None for a real one, which a person
+            places.
     """
 
     robot: Robot
@@ -80,7 +82,7 @@ class Rig:
 
     @classmethod
     def of_lab(cls, rig: Any) -> Rig:
-        """Return that of a :class:`neurosim.lab.VirtualRig`."""
+        """Return the rig of a :class:`neurosim.lab.VirtualRig`."""
         return cls(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
 
 
@@ -92,11 +94,11 @@ class RecordSettings(Checked):
         commands: Number of commands to send.
         guard: how the robot is kept on the board.
         battery_limit: Voltage below which the recording pauses, V.
-        full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
+        full_speed: Wheel speed at 100 %, m/s. Only used to return inside, like track.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
         place: The place around the robot, or None; its board is then the ``board``.
-        readings: Read the sensors all the time and keep the readings, so that a simulator can learn
+        readings: Read the sensors continuously and keep the readings, so that a simulator can learn
             them.
     """
 

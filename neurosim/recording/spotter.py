@@ -1,4 +1,4 @@
-"""The recorder's eyes: where the robot is seen while it is recorded, and what is kept of that."""
+"""Live tracking during a recording, and its log."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from tracking.markers.palette import SeenColour, warning
 from tracking.markers.sought import sought
 from tracking.poses import marker_geometry, marker_poses
 
-#: The user is told when the robot was not seen for so long, s.
+#: Time without sight after which the user gets a message, s.
 WARN_AFTER = 0.5
 
 
 class Spotter:
-    """Tracks a camera's frames, logs what is seen, and warns when the robot is lost.
+    """Tracks a camera's frames, logs the results, and warns when the robot is lost.
 
     Args:
         markers: as in recording.json.
         model: the camera's calibration, with its place over the board.
         now: the robot's clock, s.
-        log: takes what is seen in every frame.
+        log: gets the result of every frame.
         session: its number.
         say: takes messages for the user.
-        waits: whether the camera waits for who takes its frames.
-        on_seen: is shown every frame too.
+        waits: whether the camera waits until its frames are taken.
+        on_seen: called with every frame, too.
     """
 
     def __init__(
@@ -63,22 +63,22 @@ class Spotter:
 
     @property
     def last(self) -> tuple[float, NDArray] | None:
-        """When the robot was last seen (s, robot clock), and at which pose [3]; None if never."""
+        """Time (s, robot clock) and pose [3] of the last sighting; None if there was none."""
         with self._lock:
             return self._last
 
     def unseen(self, now: float) -> float:
-        """Return for how many seconds the robot has not been seen."""
+        """Return the seconds since the robot was last seen."""
         with self._lock:
             return now - (self._since if self._last is None else self._last[0])
 
     @property
     def passed_over(self) -> int:
-        """How many frames the tracker could not keep up with."""
+        """Number of frames that the tracker was too slow for."""
         return self._tracker.passed_over
 
     def close(self) -> None:
-        """Track what still waits; raise what went wrong while tracking."""
+        """Track the waiting frames; raise the errors of tracking."""
         self._tracker.close()
 
     def _look(self, seen: Seen) -> None:
@@ -110,7 +110,7 @@ class Spotter:
             self._on_seen(seen)
 
     def _judge(self, colours: tuple[SeenColour, SeenColour]) -> None:
-        """Warn at the first sight, before anything is driven, of colours that are not sure."""
+        """Warn at the first sight, before the robot drives, of uncertain colours."""
         self._judged = True
         front, rear = colours
         problem = warning({"front": front.as_dict(), "rear": rear.as_dict()})

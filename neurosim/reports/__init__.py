@@ -1,7 +1,7 @@
 """One self-contained HTML page of a dataset, a simulator, a controller and its trials.
 
-:func:`neurosim.reports.report.write_report` is the way in. Nothing here is imported before it is
-needed: matplotlib is slow to start.
+:func:`neurosim.reports.report.write_report` is the entry. Modules are imported when they are used,
+because matplotlib is slow to start.
 """
 
 from __future__ import annotations

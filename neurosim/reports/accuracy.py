@@ -29,7 +29,7 @@ SHOWN = 50
 
 
 def test(artefacts: Artefacts) -> dict[int, HeldOut]:
-    """Return predictions of held-out commands, by the simulator's place in ``artefacts``."""
+    """Return predictions of held-out commands, by the simulator's index in ``artefacts``."""
     results = {}
     for place, simulator in _learned(artefacts):
         pair = dataset_of(simulator, artefacts.datasets)
@@ -39,7 +39,7 @@ def test(artefacts: Artefacts) -> dict[int, HeldOut]:
 
 
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
-    """Write the section on how well the simulators predict single commands."""
+    """Write the section on the simulators' predictions of single commands."""
     blocks: list[Block] = []
     learned = _learned(artefacts)
     if not learned:
@@ -61,7 +61,7 @@ def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
 
 
 def learning(artefacts: Artefacts) -> Section | None:
-    """Write the section on how simulators were learned; None if none was."""
+    """Write the section on the training of simulators; None without any."""
     pictures = []
     for place, simulator in _learned(artefacts):
         lines = history(simulator.meta)
@@ -79,7 +79,7 @@ def learning(artefacts: Artefacts) -> Section | None:
 
 
 def _composition(simulator: Artefact) -> list[Block]:
-    """Return tables of what a simulator is made of: laws of its actuators, and what they leave."""
+    """Return tables of a simulator's parts: laws of its actuators, and the corrections of these."""
     made = simulator.meta["composition"]
     laws = list(dict.fromkeys(law for each in made["actuators"].values() for law in each))
     actuators = [
@@ -134,7 +134,7 @@ def others(artefacts: Artefacts) -> Section | None:
 
 
 def _learned(artefacts: Artefacts) -> list[tuple[int, Artefact]]:
-    """Return the simulators that were learned from a dataset, each with its place among all."""
+    """Return the simulators that were learned from a dataset, each with its index among all."""
     return [(place, one) for place, one in enumerate(artefacts.simulators) if one.learned]
 
 

@@ -1,4 +1,4 @@
-"""Back to reality: how controller and simulator were adapted to each other (Zagal et al. 2004)."""
+"""The section on back to reality, Zagal et al. 2004."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Section, Table
 from neurosim.reports.svg import INK, drawing, to_svg
 
-#: What L3's agreement is shown of, in words.
+#: The groups of controllers for which L3's agreement is shown, in words.
 _GROUPS = {
     "compared": "compared by L3",
     "left_out": "of the same round, left out",
@@ -39,7 +39,7 @@ def section(artefacts: Artefacts) -> Section | None:
 
 
 def verdict(runs: Sequence[Artefact]) -> str:
-    """Say what came of alternations in reality, a sentence for each."""
+    """Return the result of alternations in reality, a sentence for each."""
     sentences = []
     for one in runs:
         start, best = one.meta["start"]["fitness"], one.meta["best"]["fitness"]

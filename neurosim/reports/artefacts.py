@@ -1,4 +1,4 @@
-"""The folders that a report is made of, recognised by the JSON that lies in them."""
+"""The folders of a report, recognised by the JSON in them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import OUTPUTS, Dataset
 from tracking.datasets.dataset import VERSION as DATASET
 
-#: What may be in a folder; the first found counts, since a trial is also a recording: what its JSON
-#: holds, the newest version of that, and what reads and checks the other files.
+#: Kinds of folders, with their JSON's format and newest version, and the reader of the other files.
+#: The first kind that fits counts, because a trial is also a recording.
 KINDS: dict[str, tuple[type, int, Callable[[Path], Any] | None]] = {
     "trial": (formats.Trial, 1, None),
     "recording": (formats.TrialRecording, 1, None),
@@ -39,14 +39,14 @@ KINDS: dict[str, tuple[type, int, Callable[[Path], Any] | None]] = {
 
 @dataclass
 class Artefact:
-    """A folder of one kind, with what its JSON says.
+    """A folder of one kind, with the content of its JSON.
 
     Attributes:
         kind: one of :data:`KINDS`.
         path: the folder.
         meta: its JSON.
-        content: the dataset, the simulator or the saved controller itself; of others None.
-        recording: what recording.json says, of a trial.
+        content: the dataset, the simulator or the saved controller; None for other kinds.
+        recording: the content of a trial's recording.json.
     """
 
     kind: str
@@ -62,15 +62,15 @@ class Artefact:
 
     @property
     def json(self) -> Path:
-        """The file that says what the folder is."""
+        """The JSON file of the folder."""
         return self.path / f"{self.kind}.json"
 
     @cached_property
     def task(self) -> Task | None:
-        """The task of a controller or trial; None: it is of a package that is not installed here.
+        """The task of a controller or trial; None: its package is not installed here.
 
         Raises:
-            FileError: if the task does not take the settings that the file gives it.
+            FileError: if the task does not accept the settings in the file.
         """
         return task_of(self.meta["task"], self.json)
 
@@ -89,11 +89,11 @@ class Artefact:
 
 @dataclass
 class Trial(Artefact):
-    """A controller at work, with the recording that it was."""
+    """A trial of a controller, with its recording."""
 
     @property
     def by_command(self) -> bool:
-        """Whether the poses after each command are held against those predicted, as of a plan."""
+        """Whether the poses after each command are compared with predicted ones, as for a plan."""
         return bool(self.meta["errors"])
 
     @property
@@ -105,8 +105,8 @@ class Trial(Artefact):
     def errors(self) -> NDArray:
         """Distance (m) and difference of heading (rad) after each command [K, 2]; NaN if unseen.
 
-        That at the start, before the first command, is not among them; where commands are not
-        held against a prediction, K is 0.
+        The error at the start, before the first command, is left out. If commands are not compared
+        with a prediction, K is 0.
         """
         after = self.meta["errors"][-len(self.meta["commands"]) :]
         rows = [
@@ -122,13 +122,13 @@ class Trial(Artefact):
 
     @property
     def board(self) -> dict[str, float] | None:
-        """``length`` along x and ``width`` along y of the board it drove on, m, where known."""
+        """``length`` along x and ``width`` along y of the board, m, if known."""
         return self.recording.get("board")
 
 
 @dataclass
 class Artefacts:
-    """All that a report is made of, by kind, in the order in which it was named."""
+    """All folders of a report, by kind, in the given order."""
 
     trials: list[Trial] = field(default_factory=list)
     recordings: list[Artefact] = field(default_factory=list)
@@ -147,7 +147,7 @@ class Artefacts:
 
     @property
     def by_commands(self) -> bool:
-        """Whether any of it is about commands of some duration, from recordings to plans."""
+        """Whether any folder has commands with durations, from recordings to plans."""
         return bool(
             self.recordings
             or self.datasets
@@ -158,11 +158,11 @@ class Artefacts:
 
     @property
     def virtual(self) -> bool | None:
-        """Whether any of it is from the virtual lab; None if nothing says where it is from."""
+        """Whether any folder is from the virtual lab; None if no origin is known."""
         return is_virtual([artefact.meta for artefact in self.everything])
 
     def place_of(self, artefact: Artefact) -> list[dict[str, Any]]:
-        """Return the shapes of the place that a controller or trial is of; [] if none is known."""
+        """Return the shapes of a controller's or trial's place; [] if none is known."""
         if artefact.kind == "trial":
             digest = artefact.meta["controller"].get("sha256")
             own = [one for one in self.controllers if sha256(one.json) == digest]
@@ -178,7 +178,7 @@ class Artefacts:
 
 
 def task_of(task: Mapping[str, Any], json: Path) -> Task | None:
-    """Return the task that a file names; None: it is of a package that is not installed here.
+    """Return the task that a file names; None: its package is not installed here.
 
     Raises:
         FileError: if the task does not take the settings that the file gives it.
@@ -193,7 +193,7 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
     """Read folders; one that is named twice is read once.
 
     Raises:
-        UserError: if nothing is named, or a folder is of no known kind.
+        UserError: if no folder is given, or a folder is of no known kind.
         FileError: if a file in one is missing, of another version, cut short or wrong.
     """
     artefacts = Artefacts()
@@ -235,7 +235,7 @@ def _kind(path: Path) -> str:
 
 
 def _check_history(artefact: Artefact) -> None:
-    """Check that a history is of the outputs."""
+    """Check that a history has the outputs."""
     outputs, history = artefact.meta.get("outputs"), artefact.meta.get("history")
     names = [output["name"] for output in outputs or ()]
     if history and not set(names) <= set(OUTPUTS):
@@ -293,7 +293,7 @@ def _trial(path: Path, meta: dict[str, Any]) -> Trial:
 def files_of(artefact: Artefact) -> dict[str, str]:
     """Return the SHA-256 of the files that hold an artefact's content, by name.
 
-    Videos are left out: they are large, and what was learned from them stands in the poses.
+    Videos are left out: they are large, and their results are in the poses.
     """
     names = sorted(
         path.name

@@ -1,4 +1,4 @@
-"""Whether intervals of commands and probabilities of success hold what they say."""
+"""Predicted intervals of commands and probabilities of success, compared with the results."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from neurosim.reports.page import Block, Picture, Row, Section, Table
 from neurosim.reports.predictions import HeldOut
 from neurosim.training.coverage import LEVELS
 
-#: Probabilities of success are compared with what happened in so many bins.
+#: Number of bins in which probabilities of success are compared with results.
 BINS = 5
 
 
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section | None:
-    """Write the section on uncertainty; None where nothing says how large it is."""
+    """Write the section on uncertainty; None without predicted uncertainties."""
     blocks: list[Block] = []
     ranks_of = {
         artefacts.simulators[place].name: (f"u{place}", test.central)
@@ -35,12 +35,12 @@ def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section | Non
 
 
 def with_probability(trials: Sequence[Trial]) -> list[Trial]:
-    """Return the trials whose controllers carry a probability of success."""
+    """Return the trials whose controllers have a predicted probability of success."""
     return [trial for trial in trials if trial.meta["predicted"].get("probability") is not None]
 
 
 def brier(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Return the Brier score of the probabilities, and that of always saying the base rate.
+    """Return the Brier score of the probabilities, and that of a constant base rate.
 
     The score is the mean squared difference between the predicted probability and the result, 0 or
     1 (Brier 1950); the smaller the better.

@@ -156,7 +156,7 @@ def ragged(lines: Sequence[ArrayLike]) -> NDArray:
 
 
 def median(table: NDArray) -> NDArray:
-    """Return the median of every column over what is not NaN; NaN where nothing is left."""
+    """Return the median of every column without NaN; NaN for a column without numbers."""
     columns = [column[~np.isnan(column)] for column in table.T]
     return np.array([np.median(column) if column.size else np.nan for column in columns])
 

@@ -1,4 +1,4 @@
-"""The controllers' part of the page: what was evolved, how, and what is expected of it."""
+"""The controllers' part of the page: their evolution and their predictions."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from neurosim.reports.course import Paths, Scene, course, draw_scene, unit_of
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 from neurosim.reports.svg import INK, drawing, to_svg
 
-#: More controllers than this are drawn no longer one by one.
+#: Largest number of controllers that are drawn one by one.
 MOST_DRAWN = 24
-#: What histories show where something else than the fitness was maximised, by the objective.
+#: The value in histories for each objective other than the fitness.
 _SHOWN = {
     "progress": "graded progress",
     "probability": f"probability of success + fitness / {1 / TIE:,.0f}",
@@ -70,7 +70,7 @@ def unknown_tasks(artefacts: Sequence[Artefact]) -> list[Text]:
 
 
 def verdict(controllers: Sequence[Artefact]) -> str:
-    """Say what the simulators expect of controllers, in a sentence or two for each task."""
+    """Return the simulators' predictions for controllers, in a sentence or two for each task."""
     sentences = []
     groups = by_task(controllers)
     for group in groups:
@@ -121,12 +121,11 @@ def by_task(controllers: Sequence[Artefact]) -> list[list[Artefact]]:
 def history(controller: Artefact) -> dict[str, Any]:
     """Return the history of a controller's generations from its file.
 
-    ``best`` and ``mean`` of each, ``robust_best`` and ``robust_mean`` of those of robust
-    evolution, and ``transfer``, the number of generations before the robot took the simulator's
-    place, where there are any.
+    ``best`` and ``mean`` of each; if they exist, ``robust_best`` and ``robust_mean`` of robust
+    evolution, and ``transfer``, the number of generations before those on the robot.
 
     Raises:
-        FileError: if the history is not that.
+        FileError: if the history is wrong.
     """
     recorded = controller.meta["evolution"].get("history", {})
     lines: dict[str, Any] = {}
@@ -167,7 +166,7 @@ def _key(controller: Artefact) -> str:
 
 
 def _predictions(controllers: Sequence[Artefact]) -> Table:
-    """Write the table of predicted figures; a column that nothing is known for is left out."""
+    """Write the table of predicted figures, without empty columns."""
     columns: dict[str, Callable[[Artefact], str]] = {
         "kind": lambda one: one.content.kind,
         "size": _size,
@@ -322,7 +321,7 @@ def _evolution(group: Sequence[Artefact], prefix: str, shown: str, title: str, i
 
 
 def _paths(artefacts: Artefacts) -> list[Picture]:
-    """Draw the expected paths of controllers of which no trial is on the page."""
+    """Draw the expected paths of controllers without a trial on the page."""
     tried = {trial.meta["controller"].get("sha256") for trial in artefacts.trials}
     pictures = []
     for place, one in enumerate(artefacts.controllers):

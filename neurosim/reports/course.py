@@ -16,7 +16,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.reports.svg import INK, drawing, to_svg
 
-#: Pictures of less than this are in centimetres, m.
+#: Size below which a picture is in centimetres, m.
 _SMALL = 1.5
 
 Shape = Mapping[str, Any]
@@ -28,7 +28,7 @@ class Scene:
 
     Attributes:
         task: shapes of the task's outline, see :meth:`neurosim.tasks.base.Task.outline`.
-        place: shapes of the place that a simulator knows, drawn below these.
+        place: shapes of the simulator's place, drawn below the outline.
         board: ``length`` along x and ``width`` along y of the board, where it is known, and
             ``line_inset`` and ``line_width`` of its perimeter line.
         longest_arc: see :func:`planned_path`.
@@ -43,9 +43,9 @@ class Scene:
     def of(
         cls, task: Any, place: Sequence[Shape] = (), board: Mapping[str, float] | None = None
     ) -> Scene:
-        """Return the scene of a task, or of none that is known here (None).
+        """Return the scene of a task, or of an unknown one (None).
 
-        A place that is not given is the task's.
+        The default place is the task's.
         """
         if task is None:
             return cls((), place, board)
@@ -70,8 +70,8 @@ class Paths:
         predicted: [K + 1, 3] poses (m, m, rad): before the first and after each command where
             ``by_command``, else at every step.
         by_command: whether the robot moves on an arc from each predicted pose to the next.
-        rest: predicted pose once the motors have run down after the last command, or None.
-        actual: poses as they were tracked after each command, None where the robot was not seen.
+        rest: predicted pose at rest after the last command, or None.
+        actual: tracked poses after each command, None if the robot was not seen.
         driven: [M, 4] time (s) and pose, of the whole drive.
         stopped: pose at which the guard stopped the robot, or None.
     """
@@ -98,7 +98,7 @@ class Paths:
             predicted.get("rest"),
             actual.get("poses") or [],
             actual.get("path") or [],
-            # Where it was tracked, else where the guard knew it to be.
+            # The tracked pose, else the guard's.
             None if stopped is None else actual.get("cut") or stopped.get("pose"),
         )
 
@@ -117,8 +117,8 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = LONGE
     Args:
         poses: (K + 1, 3) poses at the commands' boundaries, m and rad.
         spacing: largest distance between two points, m.
-        longest: an arc longer than this, m, is no robot's path, but the twist of nearly whole
-            turns; a straight line stands in for it, as it does in the task's own judgement.
+        longest: longest arc, m. A longer one comes from the twist of nearly whole turns, and a
+            straight line replaces it, as in the task's own judgement.
     """
     poses = np.asarray(poses, float)
     pieces = [poses[:1]]
@@ -128,7 +128,7 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = LONGE
         if straight:
             length = float(np.hypot(*displacement[:2]))
         fractions = np.linspace(0, 1, int(np.ceil(length / spacing)) + 1)[1:]
-        if not fractions.size:  # it stands, or turns on the spot
+        if not fractions.size:  # a stop, or a turn on the spot
             fractions = np.ones(1)
         along = displacement * fractions[:, None] if straight else se2.arc(displacement, fractions)
         pieces.append(se2.compose(start, along))
@@ -137,12 +137,12 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = LONGE
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawing of a course.
+    """The drawing of a course.
 
     Attributes:
         svg: the drawing.
-        origin: where x = y = 0 is in it; its y points down.
-        scale: units of it to a metre.
+        origin: position of x = y = 0 in it; its y points down.
+        scale: units of the drawing per metre.
     """
 
     svg: str
@@ -154,10 +154,10 @@ def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool =
     """Draw both paths over a scene.
 
     Args:
-        scene, paths: what is drawn.
-        label: what the picture shows, in words.
+        scene, paths: content of the drawing.
+        label: description of the picture, in words.
         prefix: makes the picture's ids unique.
-        small: one of many, without axes.
+        small: whether it is one of many, without axes.
     """
     low, high = _bounds(scene, paths)
     aspect = float(np.clip((high - low)[1] / (high - low)[0], 0.35, 1.3))
@@ -174,7 +174,7 @@ def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool =
 
 
 def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:
-    """Draw both paths over a scene into ``axes``, in cm where it is small, else in m."""
+    """Draw both paths over a scene into ``axes``, in cm if it is small, else in m."""
     low, high = _bounds(scene, paths)
     scale, unit = unit_of(low, high)
     draw_scene(axes, scene, scale)
@@ -210,12 +210,12 @@ def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:
 
 
 def unit_of(low: NDArray, high: NDArray) -> tuple[float, str]:
-    """Return how many units a metre is in a picture between two corners [2] (m), and the unit."""
+    """Return the units per metre in a picture between two corners [2] (m), and the unit's name."""
     return (100.0, "cm") if np.max(high - low) < _SMALL else (1.0, "m")
 
 
 def draw_scene(axes: Axes, scene: Scene, scale: float = 1.0) -> None:
-    """Draw board, place and outline of the task, so many units to a metre.
+    """Draw board, place and outline of the task, with ``unit`` units per metre.
 
     Raises:
         UserError: if a shape cannot be drawn.
@@ -259,7 +259,7 @@ def _draw(axes: Axes, shape: Shape, scale: float, edge: Mapping[str, Any]) -> No
 
 
 def _stroke(axes: Axes, ends: NDArray, half: float) -> None:
-    """Draw a piece of a printed line, as wide as it is, its ends round."""
+    """Draw a piece of a printed line with its true width and round ends."""
     along = ends[1] - ends[0]
     aside = half * np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-12)
     style = {"fc": INK["muted"], "ec": "none", "lw": 0.0}
@@ -284,7 +284,7 @@ def _polygon(axes: Axes, corners: NDArray, **style: Any) -> None:
 
 
 def shape_corners(shape: Shape) -> NDArray[np.float64]:
-    """Return points [N, 2] of a shape; of a circle the corners of the square around it."""
+    """Return points [N, 2] of a shape; for a circle the corners of the square around it."""
     try:
         if "polygon" in shape:
             points = np.array(shape["polygon"], float).reshape(-1, 2)
@@ -330,7 +330,7 @@ def bounds(scene: Scene, paths: Iterable[NDArray]) -> tuple[NDArray, NDArray]:
 
 
 def _numbers(axes: Axes, ends: NDArray, scale: float) -> None:
-    # Next to the path, on the side away from where it goes next.
+    # Next to the path, on the side away from its next part.
     for number in range(1, len(ends)):
         heading = ends[number, 2] + np.pi / 2
         axes.annotate(

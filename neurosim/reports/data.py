@@ -1,4 +1,4 @@
-"""The dataset's part of the page: rows, what was left out, and what cutting at the lines did."""
+"""The dataset's part of the page: rows, commands that were left out, and the effect of cutting."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MARKERS = ("front", "rear")
 
 
 def section(artefacts: Artefacts) -> Section:
-    """Write the section on the data that was learned from."""
+    """Write the section on the training data."""
     blocks: list[Block] = []
     for place, artefact in enumerate(artefacts.datasets):
         dataset = artefact.content
@@ -88,7 +88,7 @@ def _histograms(artefact: Artefact, dataset: Dataset, prefix: str) -> Row:
 
 
 def _timing(artefact: Artefact) -> list[Block]:
-    """Write how the clocks were joined and how late the motors answered, session by session."""
+    """Write the alignment of the clocks and the delays of the motors, session by session."""
     sessions: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
     for kind in ("clocks", "motor_delays"):
         for entry in artefact.meta.get(kind, ()):

@@ -26,22 +26,22 @@ from neurosim.reports.course import Scene, bounds, draw_scene
 from neurosim.reports.svg import INK, drawing
 from tracking.datasets.recordings import Recording
 
-#: Sampled drives in a picture; frames of one, and of a second, at most.
+#: Sampled drives in a picture; largest number of frames of a film, and per second.
 SAMPLES, FRAMES, FPS = 20, 600, 10
-#: The robot's arrow, as a fraction of the picture, and its corners by that.
+#: Size of the robot's arrow, as a fraction of the picture, and its corners relative to it.
 ARROW = 0.03
 NOSE = ((1.0, 0.0), (-0.6, 0.6), (-0.25, 0.0), (-0.6, -0.6))
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """The moving parts, frame by frame; poses are NaN where nothing is known.
+    """The moving parts, frame by frame; unknown poses are NaN.
 
     Attributes:
         times: [N] since the first command, s.
-        robot: [N, 3] poses as tracked (m, m, rad).
+        robot: [N, 3] tracked poses (m, m, rad).
         predicted: [N, 3].
-        samples: [S, N, 3] drives that the simulator's noise allows; S may be 0.
+        samples: [S, N, 3] drives with the simulator's noise; S may be 0.
         names: of the sensors.
         readings: [N, R] of them, 0 to 1.
     """
@@ -58,7 +58,7 @@ class Film:
 
         Args:
             x, y: the origin in the drawing, whose y points down.
-            scale: units of the drawing to a metre.
+            scale: units of the drawing per metre.
         """
         place = np.array([x, y])
 
@@ -83,10 +83,10 @@ class Film:
 
 
 def film(artefacts: Artefacts, trial: Trial, seed: int = 0) -> Film | None:
-    """Return a trial as a film; None where nothing saw the robot.
+    """Return a trial as a film; None if the robot was never seen.
 
-    Samples are of the trial's controller in its simulator, where both are among the artefacts. A
-    replanned drive has none: its commands were others.
+    Samples are drives of the trial's controller in its simulator, if both are among the artefacts.
+    A replanned drive has none, because its commands differ.
     """
     track = np.asarray(trial.meta["actual"].get("path") or [], float).reshape(-1, 4)
     if len(track) < 2:
@@ -112,11 +112,11 @@ def film(artefacts: Artefacts, trial: Trial, seed: int = 0) -> Film | None:
 def along(
     poses: ArrayLike, ends: ArrayLike, times: NDArray, longest: float = LONGEST_ARC
 ) -> NDArray[np.float64]:
-    """Return poses [N, 3] on the arcs between poses that are known.
+    """Return poses [N, 3] on the arcs between known poses.
 
     Args:
         poses: [K, 3] (m, m, rad); none: all is NaN.
-        ends: [K] when they are reached, s; afterwards the last one stays.
+        ends: [K] their times, s; afterwards the last one stays.
         times: [N], s.
         longest: see :func:`neurosim.reports.course.planned_path`.
     """
@@ -141,7 +141,7 @@ def _seen(times: NDArray, poses: NDArray, at: NDArray) -> NDArray[np.float64]:
 
 
 def _boundaries(trial: Trial) -> tuple[NDArray, NDArray]:
-    """Return the predicted poses [K, 3], and when each was to be reached [K], s."""
+    """Return the predicted poses [K, 3], and their times [K], s."""
     poses, durations = trial.predicted, np.array([row[-1] for row in trial.meta["commands"]])
     if trial.by_command:
         ends = np.concatenate([[0.0], np.cumsum(durations)])
@@ -154,7 +154,7 @@ def _boundaries(trial: Trial) -> tuple[NDArray, NDArray]:
 
 
 def _readings(trial: Trial, at: NDArray) -> tuple[Sequence[str], NDArray]:
-    """Return the names of the sensors and what they read [N, R], each until the next look."""
+    """Return the sensors' names and readings [N, R], each until the next reading."""
     looks = None
     if (trial.path / "recording.json").exists():
         looks = Recording(trial.path).observations()
@@ -170,7 +170,7 @@ def _readings(trial: Trial, at: NDArray) -> tuple[Sequence[str], NDArray]:
 def _samples(
     artefacts: Artefacts, trial: Trial, seed: int
 ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return sampled drives, each its poses [K, 3] and when they are reached [K], s."""
+    """Return sampled drives: poses [K, 3] and their times [K], s, of each."""
     simulator = _named(artefacts.simulators, trial.meta.get("simulator"))
     controller = _named(artefacts.controllers, trial.meta["controller"])
     task = trial.task
@@ -224,7 +224,7 @@ def write_film(
         ``frames`` and ``seconds`` of it, and the number of ``samples``.
 
     Raises:
-        UserError: if the folder is not a trial's, nothing saw the robot, or the video cannot be
+        UserError: if the folder is not a trial's, the robot was never seen, or the video cannot be
             written.
     """
     out = Path(out)
@@ -257,13 +257,13 @@ def filmed_trial(folders: Sequence[str | Path], seed: int, only: str) -> tuple[T
     """Return a trial, its scene and its film.
 
     Args:
-        folders: that of the trial, and those of its simulator and controller for samples of the
+        folders: folder of the trial, and those of its simulator and controller for samples of the
             noise.
         seed: of the samples.
         only: the end of the message if the first folder is not a trial's.
 
     Raises:
-        UserError: if it is not, or nothing saw the robot.
+        UserError: if it is not, or the robot was never seen.
     """
     artefacts = gather(folders)
     if not artefacts.trials:
@@ -283,7 +283,7 @@ def frames(scene: Scene, film: Film) -> Iterator[NDArray[np.uint8]]:
 
 
 def _ground(scene: Scene, film: Film) -> tuple[NDArray[np.uint8], NDArray, float]:
-    """Return the picture that does not move (H, W, 3), BGR, its origin and pixels to a metre."""
+    """Return the still picture (H, W, 3), BGR, its origin and pixels per metre."""
     poses = np.concatenate([film.robot, film.predicted])
     low, high = bounds(scene, [poses[np.isfinite(poses).all(axis=1), :2]])
     aspect = float(np.clip((high - low)[1] / (high - low)[0], 0.35, 1.3))
@@ -298,7 +298,7 @@ def _ground(scene: Scene, film: Film) -> tuple[NDArray[np.uint8], NDArray, float
         canvas.draw()
         picture = np.asarray(canvas.buffer_rgba())[..., 2::-1]
         origin, one = axes.transData.transform([[0.0, 0.0], [1.0, 0.0]])
-    height, width = (side - side % 2 for side in picture.shape[:2])  # as encoders want them
+    height, width = (side - side % 2 for side in picture.shape[:2])  # even, for encoders
     place = np.array([origin[0], picture.shape[0] - origin[1]])
     return np.ascontiguousarray(picture[:height, :width]), place, float(one[0] - origin[0])
 

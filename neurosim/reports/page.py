@@ -10,10 +10,10 @@ from typing import Any
 
 @dataclass
 class Picture:
-    """A figure: an SVG, and a caption that says what is seen.
+    """A figure: an SVG and its caption.
 
     Attributes:
-        film: JSON of what moves over it (:mod:`neurosim.reports.film`), or None.
+        film: JSON of the moving parts over it (:mod:`neurosim.reports.film`), or None.
     """
 
     svg: str
@@ -37,8 +37,8 @@ class Table:
 
     Attributes:
         groups: a first line of the head, [(name, number of columns)] after the first column.
-        folded: shown only when asked for (and in print).
-        words: the cells are words: aligned to the left, and may wrap.
+        folded: whether it is hidden until a click (but printed).
+        words: whether the cells are words, which are aligned to the left and may wrap.
     """
 
     caption: str
@@ -53,7 +53,7 @@ class Table:
 
 @dataclass
 class Text:
-    """A paragraph; ``missing`` marks one that says what to add."""
+    """A paragraph; ``missing`` marks one about a folder to add."""
 
     text: str
     missing: bool = False
@@ -78,12 +78,12 @@ class Page:
 
     Attributes:
         title: the window's title and the page's first heading.
-        verdict: what came of it, in a sentence or two.
-        good: whether the verdict is a success; None where there is nothing to judge.
+        verdict: the result, in a sentence or two.
+        good: whether the result is a success; None if there is no trial.
         virtual: whether data is from the virtual lab.
-        figures: key figures (value, what it is).
+        figures: key figures (value, description).
         sections: the rest.
-        footer: who made it and when.
+        footer: version and date.
     """
 
     title: str
@@ -95,7 +95,7 @@ class Page:
     footer: str
 
     def html(self) -> str:
-        """Return the page, with its style and script inside and nothing outside."""
+        """Return the page, with its style and script inside."""
         import jinja2
 
         here = resources.files(__package__)

@@ -1,4 +1,4 @@
-"""Predictions of held-out commands, next to the robot's motion."""
+"""Predictions of held-out commands, compared with the robot's motion."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class HeldOut:
 
     Attributes:
         predicted, actual: (N, 3) dx, dy in m, dtheta in rad.
-        baseline: what the ideal robot is, and its displacements (N, 3); None if the inputs are
-            not those of one.
-        how: which rows these are, in words.
-        central: (N, 3) probability of the smallest central interval that holds what happened,
+        baseline: description of the ideal robot, and its displacements (N, 3); None if the inputs
+            do not fit one.
+        how: description of the rows, in words.
+        central: (N, 3) probability of the smallest central interval with the actual value,
             :func:`neurosim.training.coverage.central`; None if the simulator has no noise.
     """
 
@@ -44,9 +44,9 @@ class HeldOut:
 
 
 def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, bool] | None:
-    """Return the dataset to test a simulator on, and whether it was trained on it.
+    """Return the dataset for a simulator's test, and whether it was trained on it.
 
-    The one that it was trained on comes first; else the first with the same inputs.
+    This is the training dataset, if given; else the first with the same inputs.
     """
     names = [column["name"] for column in simulator.meta["inputs"]]
     fitting = [one for one in datasets if list(one.content.inputs) == names]

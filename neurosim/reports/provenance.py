@@ -1,4 +1,4 @@
-"""Where every number of the page came from: files, sums, settings, versions, seeds, dates."""
+"""The origin of every number of the page: files, checksums, settings, versions, seeds, dates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from neurosim.reports.artefacts import Artefact, Artefacts, files_of
 from neurosim.reports.page import Block, Section, Table
 
-#: Keys that are the content itself, or stand elsewhere on the page.
+#: Keys of the content itself, or of values elsewhere on the page.
 _CONTENT = {
     "format", "version", "history", "cutting", "reasons", "left_out", "commands", "predicted",
     "actual", "errors", "inputs", "outputs", "units", "sources", "source",
@@ -20,7 +20,7 @@ _LONGEST = 600
 
 
 def section(artefacts: Artefacts) -> Section:
-    """Write the section that says where the numbers came from."""
+    """Write the section on the origin of the numbers."""
     blocks: list[Block] = [_files(artefacts)]
     for artefact in artefacts.everything:
         rows = _settings(artefact)
@@ -38,7 +38,7 @@ def section(artefacts: Artefacts) -> Section:
 
 
 def versions() -> str:
-    """Return the versions that this page was made with."""
+    """Return the versions of the programs that make this page."""
     parts = [f"Python {platform.python_version()}"]
     for name in ("neurosim", "numpy", "torch", "matplotlib"):
         try:
@@ -66,7 +66,7 @@ def _files(artefacts: Artefacts) -> Table:
 
 
 def _sources(artefact: Artefact) -> list[tuple[str, str]]:
-    """Return path and SHA-256 of what an artefact says it was made from."""
+    """Return path and SHA-256 of an artefact's sources."""
     meta = artefact.meta
     named = list(meta.get("sources") or [])
     for key in ("source", "simulator", "controller"):
@@ -79,7 +79,7 @@ def _sources(artefact: Artefact) -> list[tuple[str, str]]:
 
 
 def _settings(artefact: Artefact) -> list[list[str]]:
-    # A trial is a recording, too: robot, camera and sessions stand in the recording's JSON.
+    # A trial is a recording, too: robot, camera and sessions are in the recording's JSON.
     meta = {**artefact.recording, **artefact.meta}
     rows: list[list[str]] = []
     for key, value in meta.items():

@@ -1,4 +1,4 @@
-"""The trials' part of the page: Figures 6 and 7, and how errors grow from command to command."""
+"""The trials' part of the page: Figures 6 and 7, and the growth of errors over the commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from neurosim.reports.course import Paths, Scene, course
 from neurosim.reports.film import film
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 
-#: More trials than this are drawn no longer one by one.
+#: Largest number of trials that are drawn one by one.
 MOST_DRAWN = 24
 
 
@@ -45,9 +45,9 @@ def courses(artefacts: Artefacts) -> Section:
 
 
 def growth(artefacts: Artefacts) -> Section | None:
-    """Write the section on how the errors of plans grow from command to command.
+    """Write the section on the growth of plans' errors over the commands.
 
-    None where the trials are of other controllers alone.
+    None without trials of plans.
     """
     if artefacts.trials and not any(trial.by_command for trial in artefacts.trials):
         return None
@@ -68,7 +68,7 @@ def growth(artefacts: Artefacts) -> Section | None:
                 ]
             )
         )
-        if len(trials) > 1:  # one alone has its errors next to its commands
+        if len(trials) > 1:  # a single trial has its errors next to its commands
             blocks.append(_growth_table(position, heading))
         blocks.append(
             Text(
@@ -87,7 +87,7 @@ def growth(artefacts: Artefacts) -> Section | None:
 
 
 def pooled(trials: Sequence[Trial], column: int) -> NDArray:
-    """Return the errors of all commands that were seen: column 0 in m, column 1 in rad."""
+    """Return the errors of all tracked commands: column 0 in m, column 1 in rad."""
     if not trials:
         return np.empty(0)
     errors = np.concatenate([trial.errors[:, column] for trial in trials])
@@ -95,13 +95,13 @@ def pooled(trials: Sequence[Trial], column: int) -> NDArray:
 
 
 def final(trials: Sequence[Trial], column: int) -> NDArray:
-    """Return the errors after the last command, of the trials in which the robot was seen there."""
+    """Return the errors after the last command of all trials in which the robot was seen then."""
     ends = np.array([trial.errors[-1, column] for trial in trials if len(trial.errors)])
     return ends[~np.isnan(ends)]
 
 
 def label(trial: Trial) -> str:
-    """Return the title of a trial: its folder's name, with its parent's if that says more."""
+    """Return the title of a trial: its folder's name, with the parent's if that is not unique."""
     parent = trial.path.resolve().parent.name
     return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
 
@@ -261,7 +261,7 @@ def _commands(trials: Sequence[Trial]) -> list[Block]:
 
 
 def _rest(trial: Trial) -> list[list[str]]:
-    """Return the row of the pose at rest, once the motors have run down; none if it has none."""
+    """Return the row of the pose at rest; empty if it is unknown."""
     predicted, actual = (trial.meta[part].get("rest") for part in ("predicted", "actual"))
     if predicted is None:
         return []
@@ -279,11 +279,11 @@ def _rest(trial: Trial) -> list[list[str]]:
 
 
 def _pose(pose: Any, near: float | None = None) -> tuple[str, str]:
-    """Return place and heading in words; the heading by whole turns the nearest to ``near``."""
+    """Return position and heading in words, with the heading's whole turns nearest to ``near``."""
     if pose is None:
         return "not seen", "not seen"
     heading = pose[2]
-    if near is not None:  # a track begins at a heading that is known up to whole turns only
+    if near is not None:  # a track's first heading is known up to whole turns only
         heading = near + math.remainder(heading - near, math.tau)
     return f"{pose[0]:.3f}, {pose[1]:.3f}", f"{math.degrees(heading):.1f}"
 

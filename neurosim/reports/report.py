@@ -1,4 +1,4 @@
-"""The report: one HTML page of any mix of recordings, datasets, simulators, controllers, trials."""
+"""The report: one HTML page on any mix of recordings, datasets, simulators, controllers, trials."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
 
     Args:
         folders: any mix of recording, dataset, simulator, controller and trial folders,
-            recognised by the JSON in them. Missing parts are left out of the page, with a line that
-            names the folder to add.
+            recognised by the JSON in them. A missing part is left out of the page; a line names the
+            folder to add.
         out: the HTML file; an older one is replaced.
 
     Returns:
-        ``verdict`` (a sentence or two), ``virtual`` (whether data is from the virtual lab, None
-        if nothing says so), and what there is of ``trials``, ``completed``,
+        ``verdict`` (a sentence or two), ``virtual`` (whether data is from the virtual lab, None if
+        unknown), and, if known, ``trials``, ``completed``,
         ``mean_position_error`` (m, over all commands), ``final_position_error`` (m, median over
         trials, after the last command), ``mean_heading_error``, ``final_heading_error`` (rad),
         ``controller_fitness`` (predicted; the mean over controllers of one task) and
@@ -47,7 +47,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
 
     Raises:
-        UserError: if nothing is named, or ``out`` is a folder.
+        UserError: if no folder is given, or ``out`` is a folder.
         FileError: if a folder is of no known kind, or a file in one is missing or wrong.
     """
     out = Path(out)

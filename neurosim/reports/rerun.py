@@ -39,8 +39,8 @@ def export_rerun(
         The number of ``frames`` and ``samples``, and ``sensors``, their names.
 
     Raises:
-        UserError: if rerun is missing, the folder is not a trial's, nothing saw the robot, or
-            something stands at ``out``.
+        UserError: if rerun is missing, the folder is not a trial's, the robot was never seen, or
+            ``out`` exists.
     """
     try:
         import rerun as rr

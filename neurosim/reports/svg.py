@@ -1,4 +1,4 @@
-"""Matplotlib figures as SVG that stands inside an HTML page and follows its colours.
+"""Matplotlib figures as SVG inside an HTML page, in the page's colours.
 
 Every colour of a figure is one of :data:`INK`'s codes. In the page each becomes a CSS variable,
 so that one drawing serves light, dark and paper. The palette is Okabe and Ito's (2008), which
@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-#: CSS variable -> the colour that stands for it while matplotlib draws.
+#: CSS variable -> the colour that matplotlib uses for it.
 INK = {
     "ink": "#1a1c1f",
     "muted": "#5c636b",
@@ -30,7 +30,7 @@ INK = {
     "board": "#f4f1ea",
 }
 
-#: Pixels that a point of a drawing may grow to, where the page is wide enough.
+#: Largest number of pixels per point of a drawing, on a wide page.
 _SCALE = 1.75
 
 _STYLE = {
@@ -80,7 +80,7 @@ def to_svg(figure: Figure, label: str, prefix: str) -> str:
 
     Args:
         figure: drawn with the colours of :data:`INK` only.
-        label: what the picture shows, for those who cannot see it.
+        label: description of the picture, for those who cannot see it.
         prefix: makes the element's ids unique in the page.
     """
     buffer = io.StringIO()
@@ -89,12 +89,12 @@ def to_svg(figure: Figure, label: str, prefix: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text)  # HTML needs none
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text)  # not needed in HTML
     text = text.replace("xlink:href=", "href=")
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     text = re.sub(r'href="#', f'href="#{prefix}-', text)
     text = re.sub(r"url\(#", f"url(#{prefix}-", text)
-    # The page has these two: the joints of lines for all figures, its own fonts.
+    # The page sets these two: the joints of lines, and the fonts.
     text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
     text = re.sub(r"(\d\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough

@@ -1,4 +1,4 @@
-"""Simulators made of tables: what the robot sampled, Lund and Miglino 1996."""
+"""Simulators made of tables: the robot's samples, Lund and Miglino 1996."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 def samples(artefacts: Artefacts) -> Section | None:
-    """Write the section on what the robot sampled; None without simulators of tables."""
+    """Write the section on the robot's samples; None without table simulators."""
     blocks: list[Block] = []
     for place, artefact in enumerate(artefacts.simulators):
         if artefact.sampled:

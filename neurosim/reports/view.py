@@ -1,4 +1,4 @@
-"""A picture of a simulator's place, a task's outline, the robot in it and the path it took."""
+"""A picture of a simulator's place, a task's outline, the robot and its path."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from neurosim.simulators.tables.simulator import RADIUS
 from neurosim.tasks.base import Task
 
 SUFFIXES = (".png", ".svg", ".pdf")
-#: A controller of a task that is not registered here drives for so long, s.
+#: Duration of a drive if the task is not registered here, s.
 SECONDS = 20.0
-#: The path of a plan is followed in pieces of its commands of at most so long, s; where a
-#: simulator then says something else (by more than this, m and rad), poses are joined by arcs.
+#: Longest piece of a command by which a plan's path is computed, s; if this changes the result by
+#: more than these (m and rad), poses are joined by arcs.
 _PIECE, _SAME = 0.1, 1e-3
-#: A robot whose size is not known is drawn as an arrow of this fraction of the picture.
+#: Size of the arrow for a robot of unknown size, as a fraction of the picture.
 _ARROW = 0.02
 
 
@@ -54,29 +54,28 @@ def draw_view(
     seed: int = 0,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Draw a simulator of any kind, or a place, and what a controller does there, into a file.
+    """Draw a simulator of any kind, or a place, and a controller's drive in it, into a file.
 
     Args:
         place: the folder of a simulator, or the JSON file or name of a place.
         out: the picture, .png, .svg or .pdf.
-        simulator: folder of another simulator to drive in, in the place that ``place`` has.
-        controller: folder of what drives, of any kind.
-        pose: x, y (m) and heading (rad) where it starts; by default where its task starts.
-        seconds: how long a controller that sees drives; by default as long as its task's trial.
+        simulator: folder of another simulator for the drive, in the place of ``place``.
+        controller: folder of a controller of any kind.
+        pose: x, y (m) and heading (rad) of the start; by default the task's.
+        seconds: duration of a closed-loop controller's drive; by default that of its task's trial.
         noise: whether the simulator's noise (and the member of an ensemble) is drawn.
-        seed: of the noise and of a start that is drawn at random.
-        overwrite: whether a picture that stands at ``out`` is replaced.
+        seed: of the noise and of a random start.
+        overwrite: whether an existing picture at ``out`` is replaced.
 
     Returns:
-        ``pose`` (m, m, rad) at the end; ``readings`` where there are sensors; of a controller the
-        ``path`` [N, 3], its ``steps``, and by its task's judgement of this one drive ``fitness``,
-        ``completes`` and ``reason``; where the simulator knows of walls ``contacts``, how often it
-        ran into something; ``note``, a sentence on what could not be done, or None.
+        ``pose`` (m, m, rad) at the end; ``readings``, if there are sensors; for a controller the
+        ``path`` [N, 3], its ``steps``, and ``fitness``, ``completes`` and ``reason`` by its task's
+        judgement of this drive; if the simulator has walls, ``contacts``, the number of collisions;
+        ``note``, a sentence on parts that could not be done, or None.
 
     Raises:
-        UserError: if a file is wrong, the robot does not fit where it is to
-            start, a controller does not fit the simulator, there is a controller and no
-            simulator, or a picture is not to be replaced.
+        UserError: if a file is wrong, the robot does not fit at its start, a controller does not
+            fit the simulator, a controller has no simulator, or a picture must not be replaced.
     """
     out = Path(out)
     if out.suffix.lower() not in SUFFIXES:
@@ -148,12 +147,12 @@ def picture(
 
     Args:
         scene: place and outline of the task.
-        path: where the robot was.
-        stops: [K, 3] where commands of a plan ended, or None.
-        simulator: knows the robot's size and where its sensors look; None: a place alone.
+        path: the robot's poses.
+        stops: [K, 3] poses at the ends of a plan's commands, or None.
+        simulator: has the robot's size and the directions of its sensors; None: a place alone.
         readings: [S] of the sensors at the end, or None.
-        title: stands above.
-        touching: [N] where on its path the robot touches something, or None.
+        title: text above the picture.
+        touching: [N] whether the robot touches something, or None.
     """
     low, high = bounds(scene, [path[:, :2]])
     scale, unit = unit_of(low, high)
@@ -192,7 +191,7 @@ def _title(
     controller: str | Path | None,
     result: dict[str, Any],
 ) -> str:
-    """Return the text above the picture: who drives where, and what came of it."""
+    """Return the text above the picture: controller, place and result."""
     where = Path(place).resolve().name
     if controller is None:
         return where
@@ -207,14 +206,14 @@ def _title(
 
 
 def contacts_in_words(count: int) -> str:
-    """Return how often a robot touched something, in words."""
+    """Return a robot's number of contacts, in words."""
     return "no contact" if not count else f"{counted(count, 'contact')} (x)"
 
 
 def _place(
     place: str | Path, simulator: str | Path | None
 ) -> tuple[Simulator | None, Place | None]:
-    """Return the simulator to drive in, if any, and the place, if one is known."""
+    """Return the simulator of the drive, if any, and the place, if known."""
     if not Path(place).is_dir():
         around = Place.of(place)
     elif simulator is None:
@@ -232,7 +231,7 @@ def _place(
 
 
 class _Unknown(Task):
-    """A task that is not registered here, as far as a controller's file tells."""
+    """A task that is not registered here, with the data of a controller's file."""
 
     def __init__(self, saved: SavedController, readings: bool):
         self.name = saved.task["name"]  # type: ignore[misc]
@@ -248,7 +247,7 @@ class _Unknown(Task):
 
 
 def _task(saved: SavedController, json: Path, simulator: Simulator) -> tuple[Task, str | None]:
-    """Return a controller's task, and a sentence where it is not registered here."""
+    """Return a controller's task, and a sentence if it is not registered here."""
     task = task_of(saved.task, json)
     if task is not None:
         return task, None
@@ -265,7 +264,7 @@ def _start(
     pose: tuple[float, float, float] | None,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Return where the robot starts: as given, where its task says, or at a free place."""
+    """Return the robot's start: the given one, the task's, or a random free pose."""
     radius = RADIUS if simulator is None or simulator.radius is None else simulator.radius
     own = None if around is None else around.start
     if task is not None and simulator is not None:
@@ -293,7 +292,7 @@ def _drive(
     start: NDArray[np.float64],
     rng: np.random.Generator | None,
 ) -> Trajectory:
-    """Return the trajectory [1, 1, ...] of one robot: as expected, or with noise from ``rng``."""
+    """Return the trajectory [1, 1, ...] of one robot, the expected one or with noise of ``rng``."""
     family = saved.controller
     rollouts = simulator.rollouts(family, episode) or SteppedRollouts(simulator, family, episode)
     if rng is not None:
@@ -310,7 +309,7 @@ def _path(
     trajectory: Trajectory,
     noise: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Return the poses [N, 3] on the way, and of a plan those at the ends of commands [K, 3].
+    """Return the poses [N, 3] of the path, and a plan's poses at the ends of commands [K, 3].
 
     The motion during a command is predicted in pieces, if they lead to the same pose; else the arc
     of constant twist.
@@ -357,7 +356,7 @@ def _draw_path(axes: Axes, path: NDArray, stops: NDArray | None, scale: float) -
 def _wedges(
     axes: Axes, pose: NDArray, readings: NDArray, bearings: NDArray, radius: float, scale: float
 ) -> None:
-    """Draw what each sensor reads, in the direction in which it looks."""
+    """Draw each sensor's reading, in the sensor's direction."""
     (x, y), heading, size = scale * pose[:2], math.degrees(pose[2]), scale * radius
     for bearing, reading in zip(np.degrees(bearings), readings, strict=True):
         if math.isfinite(bearing):
@@ -371,7 +370,7 @@ def _wedges(
 
 
 def _robot(axes: Axes, pose: NDArray, radius: float | None, scale: float, arrow: float) -> None:
-    """Draw the robot: a disc with an arrow, or the arrow alone where its size is not known."""
+    """Draw the robot: a disc with an arrow, or the arrow alone if its size is unknown."""
     (x, y), theta = scale * pose[:2], pose[2]
     size = scale * (arrow if radius is None else radius)
     if radius is not None:

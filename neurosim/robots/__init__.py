@@ -1,4 +1,4 @@
-"""Drivers of real robots, by what they can do; see :mod:`neurosim.robots.base`."""
+"""Drivers of real robots, by their abilities; see :mod:`neurosim.robots.base`."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """Abilities of robots, each as a protocol, and a robot's clock.
 
-A driver is one file. It follows :class:`Robot` and as many of the capabilities as its robot has;
-code asks for an ability, ``isinstance(robot, Lamp)``, never for a driver. A driver from
-another package is added by an entry point in the group ``neurosim.robots``: its name is what
-``--robot`` takes, its value a function that takes the options as keywords and returns a robot that
-is not connected yet.
+A driver is one file. It implements :class:`Robot` and the abilities of its robot; code checks for
+an ability, ``isinstance(robot, Lamp)``, never for a driver. An entry point in the group
+``neurosim.robots`` adds a driver from another package: its name is the one for ``--robot``, its
+value a function that takes the options as keywords and returns a robot that is not connected yet.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from numpy.typing import NDArray
 
 from neurosim.base.commands import Commands
 
-#: An NXT's light sensors are so far ahead of the axle and to either side of its middle, m, unless
-#: its driver is given other places.
+#: Default position of an NXT's light sensors, ahead of the axle and to either side of its middle,
+#: m.
 LIGHT_AHEAD, LIGHT_ASIDE = 0.06, 0.09
 
 
 class Clock(Protocol):
-    """Seconds since some beginning; the virtual lab's runs as fast as it is asked to."""
+    """A clock in seconds since some beginning; the virtual lab's advances on request."""
 
     def now(self) -> float:
         """Return the time in seconds; it never goes backwards."""
         ...
 
     def sleep_until(self, time: float) -> None:
-        """Return when :meth:`now` is at least ``time``; at once if it is already."""
+        """Wait until :meth:`now` is at least ``time``; return at once if it is later."""
         ...
 
 
@@ -47,20 +46,19 @@ class SystemClock:
         return time.perf_counter() - self._zero
 
     def sleep_until(self, time_: float) -> None:
-        """Sleep in slices short enough that Ctrl-C is answered at once."""
+        """Sleep in short slices, so that Ctrl-C is handled at once."""
         while (left := time_ - self.now()) > 0:
             time.sleep(min(left, 0.05))
 
 
 @runtime_checkable
 class Robot(Protocol):
-    """A robot that takes commands; all else is a capability.
+    """A robot that takes commands; all other abilities are optional.
 
-    Drivers raise :class:`neurosim.base.errors.RobotError` for whatever a user can put right
-    (nothing on the port, the wrong thing on it) and
-    :class:`neurosim.base.errors.LinkLost` once a robot that was there stops answering.
-    Used as a context manager, a robot is connected inside and its motors are stopped and the
-    line closed on the way out, whatever happened.
+    Drivers raise :class:`neurosim.base.errors.RobotError` for problems that a user can correct (no
+    device or a wrong one on the port), and :class:`neurosim.base.errors.LinkLost` when a connected
+    robot stops answering. As a context manager, a robot is connected inside; at the end its motors
+    are always stopped and the line is closed.
     """
 
     clock: Clock
@@ -70,33 +68,33 @@ class Robot(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop the motors if the line still stands, and close it. Never raises."""
+        """Stop the motors if the line is still open, and close it. Never raises."""
         ...
 
     @property
     def commands(self) -> Commands:
-        """The numbers of the robot's command; known once it is connected, at the latest."""
+        """The numbers of the robot's command; known at the latest after connecting."""
         ...
 
     def drive(self, command: Sequence[float]) -> None:
         """Set all numbers of a command, in the robot's units; they hold until the next.
 
-        Returns when the robot has acknowledged it. Motors go straight from one speed into the
-        next, with speed regulation where the robot has it.
+        Returns when the robot has acknowledged it. The motors change their speed without a stop,
+        with speed regulation if the robot has it.
         """
         ...
 
     def stop(self) -> None:
-        """Stop, actively braked where the robot can."""
+        """Stop, with active braking if the robot has it."""
         ...
 
     def describe(self) -> dict[str, Any]:
         """Describe this robot for a recording: its kind, name, ports, versions.
 
-        ``kind`` is what ``--robot`` takes. It has the meaning of a command (ports, dialect, full
-        speed), so that recordings of different robots differ. Ready for JSON. ``virtual``, once
-        connected, says whether the robot is one of the virtual lab, as far as the robot itself
-        tells.
+        The result is ready for JSON. ``kind`` is the name for ``--robot``. It also has the settings
+        that define a command (ports, dialect, full speed), so that recordings of different robots
+        differ. After connecting, ``virtual`` tells whether the robot reports that it is from the
+        virtual lab.
         """
         ...
 
@@ -107,9 +105,9 @@ class Robot(Protocol):
 
 @runtime_checkable
 class Lamp(Protocol):
-    """Has a lamp that a camera sees; its flashes join the camera's clock and the robot's.
+    """Has a lamp that a camera sees; its flashes align the camera's clock with the robot's.
 
-    A driver that may or may not have one gives the attribute to those robots that do.
+    If only some of a driver's robots have a lamp, only these get the attribute.
     """
 
     @property
@@ -132,8 +130,8 @@ class Sensors(Protocol):
     """Has sensors that a controller may read.
 
     Attributes:
-        sensor_names: as simulators and controllers name them: ``line_left``, ``line_right`` for
-            light reflected by the ground, ``sensor_0``, ``sensor_1``, ... for a ring of proximity
+        sensor_names: names for simulators and controllers: ``line_left``, ``line_right`` for light
+            reflected by the ground, ``sensor_0``, ``sensor_1``, ... for a ring of proximity
             sensors.
     """
 
@@ -151,22 +149,22 @@ class Sensors(Protocol):
 class SelfStopping(Protocol):
     """Stops by itself some time after a command, if no other follows.
 
-    Nothing on the computer can stop a robot once its program was killed, the computer sleeps or
-    the line is cut; a robot that has this does it alone.
+    The computer cannot stop a robot after its program was killed, while it sleeps, or when the line
+    is cut; such a robot stops without it.
     """
 
     def drive_for(self, command: Sequence[float], seconds: float) -> None:
-        """Set a command as ``drive`` does; it is to last so long (s).
+        """Set a command, like ``drive``, for a duration (s).
 
-        It holds for at least that long; how much longer, without another command, the driver says.
+        It lasts at least that long; the driver defines how much longer, without another command.
         """
         ...
 
 
 def drive_for(robot: Robot, command: Sequence[float], seconds: float) -> None:
-    """Set a command that is to last ``seconds``.
+    """Set a command with the duration ``seconds``.
 
-    A robot that can stops by itself some time later, if no other command comes; the others go on.
+    A SelfStopping robot stops some time later, if no other command comes; others continue.
     """
     if isinstance(robot, SelfStopping):
         robot.drive_for(command, seconds)
@@ -176,7 +174,7 @@ def drive_for(robot: Robot, command: Sequence[float], seconds: float) -> None:
 
 @dataclass(frozen=True)
 class Geometry:
-    """A body on two wheels: the radius of the circle around it, and between its wheels (m)."""
+    """A body on two wheels: the radius of the circle around it, and the wheel base (m)."""
 
     radius: float
     wheel_base: float
@@ -184,7 +182,7 @@ class Geometry:
 
 @runtime_checkable
 class Counters(Protocol):
-    """Counts how far its wheels turned.
+    """Has counters of its wheels' rotation.
 
     Attributes:
         pulses_per_metre: of the counters, along the ground.
@@ -212,11 +210,11 @@ class Counters(Protocol):
 
 @runtime_checkable
 class Proximity(Sensors, Protocol):
-    """Has a ring of sensors that see what is near, ``sensor_0``, ``sensor_1``, ...
+    """Has a ring of sensors that see near objects, ``sensor_0``, ``sensor_1``, ...
 
     Attributes:
-        angles: where they look, [S] rad counter-clockwise from straight ahead.
-        scan: in which the robot reads all of them in turn, s; 0 where that is not known.
+        angles: directions of the sensors, [S] rad counter-clockwise from straight ahead.
+        scan: duration of reading all of them in turn, s; 0 if unknown.
     """
 
     @property
@@ -230,7 +228,7 @@ class Proximity(Sensors, Protocol):
         ...
 
     def activations(self) -> NDArray[np.float64]:
-        """Read all sensors, [S] in 0..1, 1 where something is near."""
+        """Read all sensors, [S] in 0..1, 1 if something is near."""
         ...
 
 
@@ -238,8 +236,8 @@ class Proximity(Sensors, Protocol):
 class LightSensors(Proximity, Protocol):
     """Measures ambient light with its ring of sensors, too.
 
-    These readings are named ``light_0``, ``light_1``, ... They are read apart from the others, and
-    only where they are wanted, because that takes time.
+    These readings are named ``light_0``, ``light_1``, ... They are read separately, and only if
+    they are needed, because that takes time.
     """
 
     def lights(self) -> NDArray[np.float64]:
@@ -248,7 +246,7 @@ class LightSensors(Proximity, Protocol):
 
 
 def sensors_read_with(robot: Robot, wanted: Collection[str] | None = None) -> tuple[str, ...]:
-    """Return the names of the sensors that are read if some are wanted; None: of all sensors."""
+    """Return the names of the sensors that are read for the wanted ones; None: all sensors."""
     near = robot.sensor_names if isinstance(robot, Sensors) else ()
     count = len(robot.angles) if isinstance(robot, LightSensors) else 0
     light = tuple(f"light_{index}" for index in range(count))
@@ -268,11 +266,11 @@ def read_sensors(robot: Robot, wanted: Collection[str]) -> dict[str, float]:
 
 @runtime_checkable
 class WholeSpeeds(Protocol):
-    """Takes whole numbers for its wheels' speeds.
+    """Takes whole numbers as its wheels' speeds.
 
     Attributes:
-        full_speed: the number that 100 % is.
-        speed_unit: the wheel speed that 1 stands for, m/s.
+        full_speed: the number for 100 %.
+        speed_unit: the wheel speed of the number 1, m/s.
     """
 
     @property

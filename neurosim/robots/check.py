@@ -1,7 +1,7 @@
-"""Tries a robot before it is recorded: how fast it answers, whether it stops, which way it drives.
+"""Tries a robot before a recording: its answering time, whether it stops, its directions.
 
-Nothing is asked of it but what its driver offers, so that any driver can be tried. The robot drives
-for moments, slowly: let it stand free.
+The check uses only the abilities of the driver, so that it works with any driver. The robot drives
+slowly for short times: give it free space.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from neurosim.base import se2
 from neurosim.base.commands import Number
 from neurosim.robots.base import Battery, Counters, Robot, SelfStopping, Sensors
 
-#: Questions whose answers are timed.
+#: Number of questions whose answers are timed.
 QUESTIONS = 40
-#: A controller in closed loop asks for sensors and a command in a step of this length, s.
+#: Length of a closed-loop step, with a reading of the sensors and a command, s.
 STEP = 0.1
-#: A robot that was stopped has come to rest after so long, s.
+#: Time after which a stopped robot is at rest, s.
 COASTS = 1.0
-#: It drives at this fraction of its limits.
+#: Speed of the check, as a fraction of the limits.
 GENTLE = 0.3
 #: Fractions of a limit at which a wheel is tried for its dead band.
 LEVELS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
@@ -33,12 +33,12 @@ Verdict = Literal["good", "wrong", "unknown"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was tried.
+    """The result of one check.
 
     Attributes:
-        what: that was tried, in a word or two.
-        verdict: good, wrong, or unknown where nothing can tell.
-        sentence: one sentence; of what is wrong or unknown also what to do.
+        what: subject of the check, in a word or two.
+        verdict: good, wrong, or unknown if it cannot be measured.
+        sentence: one sentence; for wrong or unknown also with advice.
         measured: numbers, by name, with the unit in the name.
     """
 
@@ -48,17 +48,17 @@ class Finding:
     measured: dict[str, Any] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the result for JSON."""
         return asdict(self)
 
 
 def check(robot: Robot, ask: Callable[[str], bool] | None = None) -> list[Finding]:
-    """Try a robot.
+    """Check a robot.
 
     Args:
         robot: connected, standing free.
-        ask: asks a person a question that is answered by yes or no, about robots whose wheels
-            nobody counts; None: nobody is there.
+        ask: asks a person a yes-no question, for robots without wheel counters; None: nobody is
+            there.
 
     Raises:
         LinkLost: if it stops answering.
@@ -81,7 +81,7 @@ class _Tried:
         self._counter = robot if isinstance(robot, Counters) else None
 
     def latency(self) -> Finding:
-        """Time the shortest questions that the robot answers."""
+        """Time the robot's shortest questions."""
         question: Callable[[], Any] = self._robot.stop
         if isinstance(self._robot, Sensors) and self._robot.sensor_names:
             question = self._robot.read_sensors
@@ -107,7 +107,7 @@ class _Tried:
         return Finding("latency", "good", sentence, measured)
 
     def order(self) -> Finding:
-        """See that the last of many commands holds: here, that it stands."""
+        """Check that the last of many commands holds: the robot must stand."""
         for _ in range(5):
             self._robot.drive(self._gentle())
             self._robot.drive(self._takes.rest())
@@ -119,7 +119,7 @@ class _Tried:
         )
 
     def self_stopping(self) -> Finding:
-        """See whether it stops without the computer."""
+        """Check whether the robot stops without the computer."""
         if not isinstance(self._robot, SelfStopping):
             return Finding(
                 "self-stopping", "wrong",
@@ -143,7 +143,7 @@ class _Tried:
         return finding
 
     def numbers(self) -> list[Finding]:
-        """See for each number of a command which way it drives, and how fast."""
+        """Check direction and speed of each number of a command."""
         findings = []
         for place, one in enumerate(self._takes.numbers):
             if not one.speed:
@@ -187,7 +187,7 @@ class _Tried:
                        f"{100 * GENTLE:.0f} %", measured)  # fmt: skip
 
     def _velocity(self, one: Number, command: list[float]) -> Finding:
-        """See what a velocity does, a base's own, by counters of how far its wheels would turn."""
+        """Check a base's own velocity by counters of virtual wheels."""
         assert self._counter is not None
         twist = se2.of_wheels(*self._speeds(command), self._counter.geometry.wheel_base)
         part = 0 if one.unit == "m/s" else 2
@@ -213,10 +213,10 @@ class _Tried:
                        f"{one.unit}; commanded were {wanted:.3f}", measured)  # fmt: skip
 
     def _speeds(self, command: list[float]) -> list[float]:
-        """Return how fast both wheels turn by a command, by their counters, m/s."""
+        """Return both wheels' speeds at a command, by their counters, m/s."""
         assert self._counter is not None
         self._robot.drive(command)
-        self._wait(0.5)  # beyond its lag
+        self._wait(0.5)  # longer than its lag
         begin, first = self._clock.now(), self._counts()
         self._wait(1.0)
         seconds, last = self._clock.now() - begin, self._counts()
@@ -248,7 +248,7 @@ class _Tried:
         )  # fmt: skip
 
     def dead_bands(self) -> list[Finding]:
-        """Find the least command that turns each wheel, by its counter."""
+        """Find the smallest command that turns each wheel, by its counter."""
         if self._counter is None or self._takes.body != "wheels":
             return []
         findings = []
@@ -293,7 +293,7 @@ class _Tried:
         return Finding("battery", "good", f"its battery has {volts:.2f} V", {"battery_v": volts})
 
     def _stands(self, what: str, good: str, wrong: str) -> Finding:
-        """Return whether it stands now, as far as anything tells."""
+        """Check by the counters, or by asking a person, whether the robot stands now."""
         self._wait(COASTS)
         if self._counter is None:
             if self._ask is None:

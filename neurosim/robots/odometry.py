@@ -1,4 +1,4 @@
-"""Where a robot is, by the counters of its wheels: dead reckoning."""
+"""Dead reckoning: a robot's pose from the counters of its wheels."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from neurosim.base import se2
 from neurosim.base.errors import RobotError
 from neurosim.robots.base import Counters, WholeSpeeds
 
-#: A wheel turns no faster than its full speed by this, and a reading may be off by so many pulses.
+#: Largest factor of a wheel's speed over full speed, and largest error of a reading, in pulses.
 FASTER, OFF = 1.5, 25
-#: Garbage is read again so often.
+#: Number of times that a wrong reading is repeated.
 TRIES = 3
 
 
 class Odometry:
-    """Tells a robot's pose by its counters, which are set to 0 at first.
+    """Computes a robot's pose from its counters, which are set to 0 at first.
 
-    Between two readings both wheels are taken to turn at steady speeds. Counters that say that a
-    wheel went farther than it can are read again: a line may spoil a digit.
+    Between two readings both wheels are assumed to turn at steady speeds. Counters of an impossible
+    distance are read again, because a line may change a digit.
 
     Args:
         robot: connected, standing.
-        start: where it stands, [3] (m, m, rad).
+        start: its pose, [3] (m, m, rad).
 
     Attributes:
         pose: by the last reading, [3] (m, m, rad unwrapped).
@@ -34,7 +34,7 @@ class Odometry:
     """
 
     def __init__(self, robot: Counters, start: ArrayLike):
-        whole: Any = robot  # it has a clock, too
+        whole: Any = robot  # which has a clock, too
         whole.set_counts(0, 0)
         self._robot = whole
         self.counts: tuple[int, int] = (0, 0)
@@ -42,10 +42,10 @@ class Odometry:
         self.pose: NDArray[np.float64] = np.array(start, np.float64)
 
     def read(self) -> NDArray[np.float64]:
-        """Read the counters; return the pose that they stand for, [3].
+        """Read the counters; return the pose, [3].
 
         Raises:
-            RobotError: if they say, each time, that a wheel went farther than it can.
+            RobotError: if the distance is impossible each time.
         """
         robot, counts = self._robot, self._plausible_counts()
         left, right = (
@@ -75,7 +75,7 @@ class Odometry:
         )
 
     def _fastest(self) -> float:
-        """Return how fast a counter counts at full speed, pulses/s; infinite if nothing says it."""
+        """Return a counter's rate at full speed, pulses/s; infinite if unknown."""
         robot: Any = self._robot
         if not isinstance(robot, WholeSpeeds):
             return math.inf

@@ -1,8 +1,8 @@
-"""The program on a Pybricks hub over Bluetooth, as a port: its stdin takes bytes, its stdout gives.
+"""The program on a Pybricks hub over Bluetooth, as a port: writes to its stdin, reads its stdout.
 
 After the Pybricks profile 1.3 and later (pybricks/technical-info, pybricks-ble-profile.md; errors
 and optional parameters: pybricks-micropython, lib/pbio/include/pbio/protocol.h): one characteristic
-of Bluetooth Low Energy takes commands and gives events. The hub's program is downloaded before,
+of Bluetooth Low Energy takes commands and gives events. The hub's program must be downloaded first,
 with Pybricks Code or pybricksdev.
 """
 
@@ -17,26 +17,26 @@ from typing import Any, TypeVar
 
 from neurosim.base.errors import RobotError, UserError
 
-#: What a port's name begins with; the hub's name or Bluetooth address follows.
+#: Beginning of a port's name; the hub's name or Bluetooth address follows.
 SCHEME = "pybricks://"
 
 SERVICE = "c5f50001-8280-46da-89f4-6d8051e4aeef"
 COMMAND_EVENT = "c5f50002-8280-46da-89f4-6d8051e4aeef"
 CAPABILITIES = "c5f50003-8280-46da-89f4-6d8051e4aeef"
-#: Of Bluetooth's device information: it has the version of the profile.
+#: The characteristic with the version of the profile, in Bluetooth's device information.
 VERSION = "00002a28-0000-1000-8000-00805f9b34fb"
 #: The first version whose commands write to a program's stdin.
 NEEDED = (1, 3)
-#: Commands, events, the flag of a status that says that a program runs, and the error of a hub
-#: whose stdin is full or whose program runs already.
+#: Commands, events, the status flag of a running program, and the error of a hub whose stdin is
+#: full or whose program runs already.
 START_PROGRAM, WRITE_STDIN = 1, 6
 STATUS, WROTE_STDOUT = 0, 1
 RUNNING = 1 << 6
 BUSY = 0x81
-#: A hub is looked for, and connected, within these times, s; it tells its status, and its program
-#: starts, within the others.
+#: Longest times of the search and of connecting, s; and of the first status and of the program's
+#: start.
 FIND, CONNECT, TELL, START = 10.0, 20.0, 1.0, 5.0
-#: Stdin that is full is written to again after so long, s, and given up after so long.
+#: Time after which a full stdin is written to again, s, and after which it is given up.
 AGAIN, FULL = 0.01, 4.0
 
 _PROGRAM = "firmware/micropython/main_pybricks.py"
@@ -45,14 +45,14 @@ T = TypeVar("T")
 
 
 class PybricksPort:
-    """A hub's program, behind what :class:`neurosim.robots.serial_line.SerialLine` asks of a port.
+    """A hub's program, as a port for :class:`neurosim.robots.serial_line.SerialLine`.
 
     Args:
         name: of the hub, or its address; empty: the first hub that is found.
         timeout: Seconds that :meth:`read` waits.
 
     Raises:
-        RobotError: if Bluetooth cannot be used, no such hub is found, or its program does not run.
+        RobotError: if Bluetooth cannot be used, the hub is not found, or its program does not run.
         UserError: if the package bleak is missing.
     """
 
@@ -84,13 +84,13 @@ class PybricksPort:
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have come."""
+        """Number of received bytes."""
         with self._changed:
             self._check()
             return len(self._received)
 
     def read(self, count: int) -> bytes:
-        """Return at most so many bytes, once any have come; none, if none come in time."""
+        """Return at most ``size`` bytes after the first ones arrive; empty if none arrive."""
         with self._changed:
             self._until(lambda: self._received, self.timeout)
             self._check()
@@ -104,12 +104,12 @@ class PybricksPort:
         self._wait(self._write(data), self.write_timeout)
 
     def close(self) -> None:
-        """End the connection; the program goes on. Never raises."""
+        """End the connection; the program continues. Never raises."""
         if self._client is not None:
             with suppress(Exception):
                 self._wait(self._client.disconnect(), 2.0)
             self._client = None
-        with suppress(RuntimeError):  # where it is closed already
+        with suppress(RuntimeError):  # if it is closed already
             self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(2.0)
 
@@ -155,7 +155,7 @@ class PybricksPort:
         )
 
     async def _open(self, device: Any) -> tuple[int, ...]:
-        """Connect to a hub and have its events; return the version of its profile."""
+        """Connect to a hub and receive its events; return the version of its profile."""
         client = self._client = self._bleak.BleakClient(device, self._left)
         await client.connect()
         text = bytes(await client.read_gatt_char(VERSION)).decode("ascii", "replace")
@@ -167,8 +167,8 @@ class PybricksPort:
         return version
 
     def _start(self) -> None:
-        """See that the hub's program runs; start it if it does not."""
-        # A hub tells its status as soon as it is asked for events.
+        """Check that the hub's program runs; start it if it does not."""
+        # A hub sends its status after the request for events.
         self._until(lambda: self._running is not None, TELL)
         if self._running:
             return
@@ -183,7 +183,7 @@ class PybricksPort:
             )
 
     def _until(self, condition: Callable[[], object], seconds: float) -> bool:
-        """Return whether a condition is true in time, and the hub still there."""
+        """Return whether a condition becomes true in time, while the hub is connected."""
         with self._changed:
             self._changed.wait_for(lambda: condition() or self._gone, seconds)
             return bool(condition()) and not self._gone
@@ -210,7 +210,7 @@ class PybricksPort:
         return 0
 
     def _event(self, sender: object, data: bytearray) -> None:
-        """Take an event of the hub; in the thread of Bluetooth."""
+        """Handle an event of the hub, in the thread of Bluetooth."""
         with self._changed:
             if data[0] == WROTE_STDOUT:
                 self._received += bytes(data[1:])
@@ -234,7 +234,7 @@ class PybricksPort:
         """Return the result of a task in the thread of Bluetooth.
 
         Raises:
-            OSError: saying why it failed.
+            OSError: with the reason.
         """
         future = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:

@@ -1,7 +1,7 @@
 """The build of the walking robot: its legs, their joints, and inverse kinematics.
 
-Four legs of three joints each and the size of the robot of Zagal et al. 2004, a Sony AIBO; the
-measures are ours. Frames follow ROS REP 103: x forward, y left, z up, from the middle of the trunk.
+It has four legs of three joints each, and about the size of the robot of Zagal et al. 2004, a Sony
+AIBO. Frames follow ROS REP 103: x forward, y left, z up, from the middle of the trunk.
 
 A leg hangs from its hip: a joint that swings it about y, one that spreads it outwards about x, the
 upper leg, the knee about y, the lower leg. Angles are zero where the leg hangs straight down.
@@ -16,27 +16,27 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 
-#: The joints get new commands so often: a frame (Zagal et al. 2004, section 5.2), s.
+#: Time between two commands of the joints, a frame (Zagal et al. 2004, section 5.2), s.
 FRAME = 0.008
 #: In the order of columns of commands.
 LEGS = ("left_front", "right_front", "left_rear", "right_rear")
 LEG_JOINTS = ("swing", "spread", "knee")
 JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in LEG_JOINTS)
 FRONT = np.array([True, True, False, False])
-#: 1 where outwards is to the left.
+#: 1 if outwards is to the left.
 SIDE = np.array([1.0, -1.0, 1.0, -1.0])
 #: Sign of the knee: elbows of the front legs point back, knees of the rear legs forward, so that
 #: the lower legs lead forward in front and back behind.
 KNEE = np.array([-1.0, -1.0, 1.0, 1.0])
 
-#: Of the hips in the trunk's frame, m, [4, 3].
+#: Positions of the hips in the trunk's frame, m, [4, 3].
 HIPS = np.stack([np.where(FRONT, 0.06, -0.06), 0.055 * SIDE, np.zeros(4)], axis=1)
 UPPER, LOWER = 0.064, 0.070  # lengths, m
-FOOT = 0.009  # radius of the lower leg and so of the foot, m
+FOOT = 0.009  # radius of the lower leg and of the foot, m
 
-#: Lowest and highest angle of each joint of a leg, rad; the knee's are of how far it is folded.
+#: Lowest and highest angle of each joint of a leg, rad; the knee's is its fold.
 SWING, SPREAD, FOLD = (-2.0, 2.0), (-0.2, 1.5), (0.1, 2.5)
-#: How a robot stands before it walks: swing, spread and fold of the front and rear legs, rad.
+#: Pose before walking: swing, spread and fold of the front and rear legs, rad.
 STANCE = ((0.45, 0.15, 1.0), (-0.55, 0.15, 1.1))
 
 
@@ -48,7 +48,7 @@ def standing() -> NDArray[np.float64]:
 
 
 def foot(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where feet are, [..., 3] m from their hips: forward, outwards, up.
+    """Return the positions of feet, [..., 3] m from their hips: forward, outwards, up.
 
     Args:
         angles: [..., 3] swing, spread and knee of a leg, rad.
@@ -69,17 +69,16 @@ def foot(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 def angles_of(
     feet: NDArray[np.float64], knee: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the joint angles that bring feet to a place: inverse kinematics.
+    """Return the joint angles for positions of the feet: inverse kinematics.
 
-    A place that is out of reach is replaced with the nearest that the joints allow, or one near
-    it, as the robot itself would do.
+    A position out of reach is replaced by the nearest possible one, or one near it.
 
     Args:
         feet: [..., 3] m from the hips: forward, outwards, up.
-        knee: [...] 1 or -1, to which side the knee folds.
+        knee: [...] 1 or -1, the side to which the knee folds.
 
     Returns:
-        Angles [..., 3] rad, and whether each place [...] is within reach.
+        Angles [..., 3] rad, and whether each position [...] is within reach.
     """
     x, y, z = np.moveaxis(np.asarray(feet, np.float64), -1, 0)
     square = x * x + y * y + z * z

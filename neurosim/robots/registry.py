@@ -1,4 +1,4 @@
-"""Drivers of robots by name: ours, those of other packages, and a script's own."""
+"""Drivers of robots by name: neurosim's own, those of other packages, and a script's."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
 from neurosim.robots.base import Robot
 
-#: By the name that ``--robot`` takes: a function that takes the options as keywords and returns a
-#: robot that is not connected yet.
+#: Functions by their name for ``--robot``, which take the options as keywords and return a robot
+#: that is not connected yet.
 ROBOTS = Registry(
     "robot",
     "neurosim.robots",
@@ -25,7 +25,7 @@ ROBOTS = Registry(
 
 
 def robot_factory(name: str) -> Callable[..., Robot]:
-    """Return the function that makes a robot of this name from options given as keywords.
+    """Return the function that makes a robot of this name from keyword options.
 
     Raises:
         UserError: if no driver has this name, or its package cannot be imported.

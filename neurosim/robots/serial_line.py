@@ -1,4 +1,4 @@
-"""Lines of text over a serial port, by whatever URL pyserial opens, with errors for people.
+"""Lines of text over a serial port, or any URL of pyserial, with errors for people.
 
 A line ends in CR, LF or both.
 """
@@ -18,11 +18,11 @@ from neurosim.robots.pybricks import SCHEME, PybricksPort
 
 #: Seconds that a single read waits; deadlines are kept by the caller.
 _SLICE = 0.1
-#: Reads after which what has come already is taken to have come.
+#: Largest number of reads of waiting bytes.
 _AT_MOST = 64
-#: How often the farewell is sent, and so many seconds apart.
+#: Number of times that the farewell is sent, and the seconds between them.
 FAREWELLS, FAREWELL_EVERY = 4, 0.03
-#: No answer is longer (an e-puck's help comes in lines); what is, is garbage.
+#: Longest answer (an e-puck's help comes in lines); longer ones are garbage.
 LONGEST = 512
 
 _NO_RIGHT = "you may not open it; on Linux, join its group (dialout) or use sudo"
@@ -37,7 +37,7 @@ _WHY = {
     errno.EISDIR: "it is a folder, not a serial port",
     errno.ECONNREFUSED: "nothing listens there",
 }
-#: Windows says in words what others say in numbers.
+#: Words in Windows' errors, instead of other systems' numbers.
 _WORDS = {
     "FileNotFoundError": errno.ENOENT,
     "PermissionError": errno.EBUSY,
@@ -54,11 +54,11 @@ class SerialLine:
             or ``pybricks://name`` for the program on a hub, by Bluetooth.
         baud: bits per second.
         stop_bits: 1 or 2.
-        farewell: what is sent when the line is given up, several times, since what is lost on the
-            way once need not be lost each time; no answer is waited for.
+        farewell: bytes that are sent when the line is given up, several times, because not all of
+            them are lost; without waiting for an answer.
 
     Attributes:
-        farewell: as given; what a robot is known by only once it has answered is set then.
+        farewell: the given bytes; it can be set again after the robot's first answer.
     """
 
     def __init__(self, port: str, *, baud: int, stop_bits: int = 1, farewell: bytes = b""):
@@ -72,7 +72,7 @@ class SerialLine:
 
     @property
     def is_open(self) -> bool:
-        """Whether the line stands."""
+        """Whether the line is open."""
         return self._serial is not None
 
     @property
@@ -81,7 +81,7 @@ class SerialLine:
         return self.port if self.port.startswith(SCHEME) else f"{self.port} at {self.baud} baud"
 
     def open(self) -> None:
-        """Open the port, for this program alone where the system can see to that.
+        """Open the port, for this program alone if the system supports it.
 
         Raises:
             RobotError: if it cannot be opened, with the reason.
@@ -108,13 +108,13 @@ class SerialLine:
         self._gone, self._buffer = None, b""
 
     def connect(self, greet: Callable[[], object]) -> None:
-        """Open the port and greet what is behind it; closed again if that fails.
+        """Open the port and greet the robot; close it if this fails.
 
         Args:
-            greet: makes sure that the right robot answers, and stops it.
+            greet: checks that the right robot answers, and stops it.
 
         Raises:
-            RobotError: if the port cannot be opened; whatever ``greet`` raises.
+            RobotError: if the port cannot be opened; also all errors of ``greet``.
         """
         self.open()
         try:
@@ -124,7 +124,7 @@ class SerialLine:
             raise
 
     def hang_up(self, stop: Callable[[], object]) -> None:
-        """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C.
+        """Stop the robot if the line is still open, and close it; raises only Ctrl-C.
 
         Args:
             stop: stops the robot.
@@ -150,7 +150,7 @@ class SerialLine:
         """Send bytes.
 
         Raises:
-            LinkLost: if the line takes no more.
+            LinkLost: if the line accepts no more bytes.
         """
         try:
             self._connected().write(data)
@@ -158,10 +158,10 @@ class SerialLine:
             raise self._lost(error) from None
 
     def waiting(self) -> list[bytes]:
-        """Return the whole lines that have come already; a rest without an end is dropped."""
+        """Return the complete lines received so far; a rest without an end is dropped."""
         port, lines = self._connected(), []
         try:
-            # Bounded: what floods the line must not keep us here for ever.
+            # Bounded, so that a flood of bytes cannot block this thread.
             for _ in range(_AT_MOST):
                 if not (count := port.in_waiting):
                     break
@@ -176,7 +176,7 @@ class SerialLine:
         return lines
 
     def read_line(self, seconds: float) -> bytes | None:
-        """Return the next line without its end, or None if none is whole in time.
+        """Return the next line without its end, or None if none is complete in time.
 
         Args:
             seconds: wall-clock time that it may take.
@@ -201,10 +201,10 @@ class SerialLine:
         return line
 
     def read_some(self, seconds: float) -> bytes:
-        """Return bytes as they come, of what has no lines: none, if none comes in time.
+        """Return received bytes of a protocol without lines; empty if none come in time.
 
         Args:
-            seconds: wall-clock time that the first may take; 0: what has come already.
+            seconds: wall-clock time that the first may take; 0: only waiting bytes.
 
         Raises:
             LinkLost: if the line is gone.
@@ -221,7 +221,7 @@ class SerialLine:
             raise self._lost(error) from None
 
     def _cut(self) -> bytes | None:
-        """Take the next non-empty line off what was received."""
+        """Take the next non-empty line from the received bytes."""
         while self._buffer:
             line, ending, rest = self._buffer.partition(b"\n")
             if not ending:
@@ -257,7 +257,7 @@ class SerialLine:
     def lose(self, why: str) -> LinkLost:
         """Close the line for good and return the error, which later calls raise again.
 
-        First the farewell is sent: that nothing comes back does not mean that nothing arrives.
+        First the farewell is sent: it may arrive even if no answer comes back.
         """
         self.say_farewell()
         self.close()

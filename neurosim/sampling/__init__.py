@@ -1,13 +1,12 @@
 """A robot samples its own sensors and motors: Lund and Miglino 1996, "Model".
 
-In front of an object the robot turns on the spot and writes down what its sensors say, backs off,
-and so on (:mod:`.turns`, :mod:`.resampling`); in the open it drives its motor settings
-(:mod:`.motors`), and measures how late it answers a command (:mod:`.reaction`). Its position
-counters say how far it turned and drove; at the motor settings a camera can say it better
-(:mod:`.eye`).
+In front of an object the robot turns on the spot and records its sensors' readings, backs off, and
+repeats this (:mod:`.turns`, :mod:`.resampling`). On open floor it drives its motor settings
+(:mod:`.motors`), and measures its delay after a command (:mod:`.reaction`). Its position counters
+measure turns and distances; a camera measures the motor settings more accurately (:mod:`.eye`).
 
-Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``reaction.csv``); the
-``.sample`` files and the reaction in ``sampling.json`` are made of that.
+All readings are written at once (``sensors.csv``, ``motors.csv``, ``reaction.csv``); the
+``.sample`` files and the reaction in ``sampling.json`` are computed from them.
 """
 
 from typing import TYPE_CHECKING
@@ -38,7 +37,7 @@ __all__ = [
     "sampled_reaction",
 ]
 
-#: They build simulators, which needs PyTorch.
+#: Names of functions that build simulators, which needs PyTorch.
 _BUILD = ("build_tables", "sampled_baud", "sampled_body", "sampled_reaction")
 
 __getattr__ = names_of(__name__, dict.fromkeys(_BUILD, "neurosim.sampling.build"))

@@ -20,13 +20,13 @@ from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import LIGHT, SensorTable, kind_of
 from neurosim.simulators.tables.simulator import RADIUS, TableSimulator
 
-#: Whole speeds of an ideal robot up to full speed: those of a Khepera.
+#: Number of speeds of an ideal robot up to full speed: a Khepera's.
 UNITS = 10
-#: Sensors of a Khepera.
+#: Number of sensors of a Khepera.
 KHEPERA_SENSORS = 8
 
 
-#: Of the circle around a robot's body, m.
+#: Radius of the circle around a robot's body, m.
 Radius = Annotated[float, Meta(ge=0.001, le=10)]
 
 
@@ -46,8 +46,8 @@ def build_tables(
 ) -> TableSimulator:
     """Make a table simulator of samples.
 
-    How late the robot answers, its radius, its whole speeds and the speed of its serial line are
-    read from the ``sampling.json`` next to the motor samples, if there is one.
+    The robot's delays, its radius, its number of speeds and the speed of its serial line are read
+    from the ``sampling.json`` next to the motor samples, if it exists.
 
     Args:
         samples: ``.sample`` files of a wall, of a cylinder or several and, if there is one, of a
@@ -77,8 +77,8 @@ def build_tables(
         come from: given, sampled, or guessed, which are a Khepera's.
 
     Raises:
-        UserError: if ``out`` is taken, an object has no samples, the ideal robot is described
-            although there are motor samples, or nothing says how large the robot is.
+        UserError: if ``out`` exists, an object has no samples, the ideal robot is described
+            although there are motor samples, or the robot's size is unknown.
         FileError: if a file is missing or wrong.
     """
     if motors is not None:
@@ -99,7 +99,7 @@ def build_tables(
         "full_speed": _source(full_speed, motors),
     }
     radius = sampled_radius if radius is None else radius
-    # An ideal robot's table has a row and a column for each speed: only as many as asked for.
+    # An ideal robot's table has a row and a column for each speed, so their number is limited.
     units = units or (None if motors is None else whole) or UNITS
     if motors is None:
         given = {"wheel_base": wheel_base, "full_speed": full_speed}
@@ -144,7 +144,7 @@ def _source(given: object, sampled: object) -> Literal["given", "sampled", "gues
 
 
 def sampled_reaction(folder: str | Path) -> Reaction:
-    """Return the reaction that was measured in a sampling; none where a folder is not one.
+    """Return the reaction measured in a sampling; None if a folder is not a sampling.
 
     Raises:
         FileError: if ``sampling.json`` is wrong.
@@ -159,7 +159,7 @@ def sampled_reaction(folder: str | Path) -> Reaction:
 
 
 def sampled_baud(folder: str | Path) -> int | None:
-    """Return the speed of the line over which a sampling was made; None where it is not known.
+    """Return the speed of a sampling's serial line; None if it is unknown.
 
     Raises:
         FileError: if ``sampling.json`` is wrong.
@@ -171,9 +171,9 @@ def sampled_baud(folder: str | Path) -> int | None:
 
 
 def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
-    """Return full speed in whole speeds of the robot that sampled itself, and its radius (m).
+    """Return the number for full speed and the radius (m) of the robot that sampled itself.
 
-    None each where it is not known.
+    Each is None if it is unknown.
 
     Raises:
         FileError: if ``sampling.json`` is wrong.
@@ -182,7 +182,7 @@ def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
     if not path.exists():
         return None, None
     robot = files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"]
-    # Earlier samplings do not say it.
+    # Older samplings do not have it.
     dialect = DIALECTS.get(robot.get("dialect", ""))
     nominal = None if dialect is None else dialect.geometry.radius
     return robot.get("full_speed"), robot.get("radius", nominal)

@@ -1,6 +1,6 @@
-"""A camera above the robot measures how it moves: what counters cannot see it does.
+"""A camera above the robot measures motion that counters cannot see.
 
-A wheel that is larger than the other, or slips, counts the same.
+The counters do not show a larger wheel or slip.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from tracking.live import LiveTracker, Seen
 from tracking.markers.sought import sought
 from tracking.poses import marker_geometry, marker_poses, unwrap
 
-#: Pictures that arrive now may be so old, s.
+#: Largest age of an arriving picture, s.
 LATE = 0.3
-#: A motion is measured by as many pictures of the robot or more, over this fraction of its time.
+#: Smallest number of pictures of a motion, and smallest fraction of its time that they cover.
 _PICTURES, _FRACTION = 6, 0.6
 
 
 class Eye:
     """Measures steady motions with a camera; use it as a context.
 
-    At steady speeds the robot goes on by the same displacement in equal times, so that how late
-    the pictures are does not matter, once they are all of the steady motion.
+    At steady speeds the robot moves by the same displacement in equal times. So the pictures' delay
+    does not matter, if they all show the steady motion.
 
     Args:
         camera: above the robot.
         model: its calibration, with its place over the floor.
         markers: on the robot, as in recording.json.
-        clock: the robot's.
+        clock: the robot's clock.
 
     Raises:
-        UserError: if the calibration is not this camera's, or does not say where it is.
+        UserError: if the calibration does not fit this camera, or has no position of it.
     """
 
     def __init__(
@@ -74,20 +74,20 @@ class Eye:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Let the camera go."""
+        """Release the camera."""
         self._camera.stop()
         if self._tracker is not None:
             self._tracker.close()
 
     def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
-        """Watch a motion that has been steady for a while, for ``duration`` s.
+        """Measure a steady motion for ``duration`` s.
 
         Returns:
             The duration (s) and the displacement [3] in it (m, m, rad), in the frame of the
             robot at its beginning.
 
         Raises:
-            UserError: if the robot was not in view all the while.
+            UserError: if the robot was not always in view.
         """
         begin = self._clock.now() + LATE
         with self._lock:
@@ -127,7 +127,7 @@ def steady_twist(times: NDArray[np.float64], poses: NDArray[np.float64]) -> NDAr
     """
     since = times - times.mean()
     turn, middle = np.polyfit(since, unwrap(poses[:, 2]), 1)
-    # The way so far of a robot that drives straight ahead, and of one that drives to its left.
+    # The path so far of a robot that drives straight ahead, and of one that drives to its left.
     chord = since * np.sinc(turn * since / (2.0 * np.pi))
     heading = middle + turn * since / 2.0
     cos, sin, one, none = (

@@ -1,4 +1,4 @@
-"""A robot drives its motor settings; its counters, or a camera, say how far it got."""
+"""A robot drives its motor settings; its counters, or a camera, measure the motion."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from neurosim.base import files, se2
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.simulators.tables.motor_table import MotorTable
 
-#: Seconds that motors get to reach their speed before a motor sample, and to stop after it.
+#: Seconds in which motors reach their speed before a motor sample, and stop after it.
 SETTLE = 0.3
 
-#: Waits so many seconds; returns how many they were and the displacement [3] in them.
+#: Waits some seconds; returns their exact number and the displacement [3] in them.
 Measure = Callable[[float], tuple[float, NDArray[np.float64]]]
 
 _COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta", "repeat")
@@ -37,10 +37,9 @@ def sample_motors(
         out: folder.
         robot: connected.
         settings: of the sampling.
-        levels: speeds of either wheel.
-        measure: how the robot moves: :class:`Counters` or an
-            :class:`~neurosim.sampling.eye.Eye`.
-        in_the_open: has the robot placed where nothing is near.
+        levels: speeds of a wheel.
+        measure: measures motion: :class:`Counters` or an :class:`~neurosim.sampling.eye.Eye`.
+        in_the_open: asks for the robot to be placed on open floor.
         seed: of the choice of settings held out.
     """
     full = robot.full_speed
@@ -78,14 +77,14 @@ class Counters:
     Args:
         robot: connected.
         wheel_base: m.
-        sizes: of the left and of the right wheel, over their mean.
+        sizes: sizes of the left and the right wheel over their mean.
     """
 
     def __init__(self, robot: Sampler, wheel_base: float, sizes: tuple[float, float] = (1.0, 1.0)):
         self._robot, self._wheel_base, self._sizes = robot, wheel_base, sizes
 
     def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
-        """Wait ``duration`` s; return how long it was and the displacement [3] in it."""
+        """Wait ``duration`` s; return the exact time and the displacement [3] in it."""
         robot, clock = self._robot, self._robot.clock
         before, first = robot.read_counts(), clock.now()
         clock.sleep_until(first + duration)
@@ -142,7 +141,7 @@ def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:
 
 
 def _interpolated(motors: MotorTable, left: Any, right: Any) -> NDArray[np.float64]:
-    """Return twists [N, 3] between a table's settings, bilinear, as the simulator has them."""
+    """Return twists [N, 3] between a table's settings, bilinear, like the simulator."""
     levels, place = motors.levels, []
     for speed in (left, right):
         at = (np.asarray(speed, float) - levels[0]) / (levels[1] - levels[0])

@@ -1,4 +1,4 @@
-"""A robot measures how late it is: from a command to what its counters say of it."""
+"""A robot measures its delay from a command to its counters' motion."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from neurosim.base.errors import UserError
 from neurosim.sampling.settings import Sampler
 from neurosim.simulators.tables.reaction import Reaction
 
-#: How often the robot starts from rest, forwards and backwards in turn.
+#: Number of starts from rest, forwards and backwards in turn.
 STARTS = 20
-#: Seconds that a start is followed, and that it rests before.
+#: Seconds for which a start is measured, and of rest before it.
 FOLLOWED, REST = 0.4, 0.4
-#: Fraction of readings that take no longer than the time that is allowed for one.
+#: Fraction of readings that are shorter than the time allowed for one.
 IN_TIME = 0.95
 _STEP = 0.0005
 
@@ -26,11 +26,11 @@ _COLUMNS = ("start", "whole", "time", "left", "right")
 
 
 def sample_reaction(out: Path, robot: Sampler, in_the_open: Callable[[], None]) -> None:
-    """Start from rest, again and again, and write down what the counters say when.
+    """Start from rest several times, and write down the counters over time.
 
-    ``reaction.csv``: seconds from when the command was sent to when the counters were asked for,
-    pulses since then, forward. Samples from before are kept; ``in_the_open`` has the robot
-    placed where nothing is near.
+    ``reaction.csv``: seconds from the command to the request for the counters, and pulses since the
+    command, forward. Earlier samples are kept; ``in_the_open`` asks for the robot to be placed on
+    open floor.
     """
     path, clock = out / "reaction.csv", robot.clock
     with files.LineLog(path, _COLUMNS) as log:
@@ -62,8 +62,8 @@ def read_reaction(folder: str | Path, seconds: NDArray[np.float64], scan: float)
 
     Args:
         folder: of the sampling.
-        seconds: that readings of the sensors took, [N].
-        scan: in which the robot reads its sensors, s.
+        seconds: durations of readings of the sensors, [N].
+        scan: duration of the robot's reading of all sensors, s.
 
     Raises:
         UserError: if the wheels did not turn.
@@ -90,7 +90,7 @@ def _errors(
     delay: float,
     lags: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the squared errors of a delay with every lag, each with the speed that fits best."""
+    """Return the squared errors of a delay with every lag, each with its best speed."""
     s = np.maximum(time - delay, 0.0)[None, :]
     model = s - lags[:, None] * (1.0 - np.exp(-s / lags[:, None]))
     speed = (model @ distance) / np.maximum((model**2).sum(axis=1), math.ulp(1.0))

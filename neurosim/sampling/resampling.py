@@ -1,13 +1,12 @@
 """From a robot's turns to samples at even distances and angles, and to the sizes of its wheels.
 
-How many counts a full turn is, the robot finds from its sensors: after one they say the same
-again. On the spot that gives the distance between the wheels, as the floor has it; around either
-wheel, how large the other is. So it knows a wheel that is larger than its fellow, which counters
-alone do not show.
+The robot finds the counts of a full turn from its sensors, whose readings repeat after it. A turn
+on the spot gives the effective distance between the wheels; a turn around one wheel gives the size
+of the other. So the robot measures unequal wheels, which counters alone do not show.
 
-Two wheels are never equal, so a robot that turns on the spot goes round a point off its middle;
-its counters are integrated to where it is. The wheels' counters do not show slip, but the sensors
-do: they say something else of the same direction after the way back.
+Two wheels are never equal, so a robot that turns on the spot moves around a point next to its
+middle; its pose is integrated from its counters. The counters do not show slip, but the sensors do:
+their readings in the same direction differ after the turn back.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from neurosim.sampling.turns import PIVOTS, TURNS, Turns
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import WALL, radius_of
 
-#: Standard deviations: of what wheels slip in a turn there and back, m, and of averaged readings.
+#: Standard deviations: of the wheels' slip in a turn there and back, m, and of averaged readings.
 _SLIP, _READING = 0.0005, 0.01
-#: A sensor whose mean reading above its median is less says nothing of directions.
+#: Smallest mean reading above its median from which a sensor's direction is computed.
 _FAINT = 0.02
-#: Readings are averaged so far around an angle, rad.
+#: Range around an angle over which readings are averaged, rad.
 _NEAR = math.radians(2.0)
 
-#: A full turn is looked for so far around the nominal one, as a fraction of it.
+#: Range of the search for a full turn around the nominal one, as a fraction of it.
 _REACH = 0.1
 
 _TURN = 2.0 * math.pi
@@ -40,14 +39,14 @@ _Array = NDArray[np.float64]
 
 
 def full_turn(turns: Turns) -> float:
-    """Return the counts of a wheel in a full turn, from where the sensors say the same again.
+    """Return the counts of a wheel in a full turn, after which the sensors' readings repeat.
 
-    The median over objects and repeats of the period with the least mean squared difference, at
-    the smallest distance, where sensors say most.
+    The median over objects and repeats of the period with the least mean squared difference, at the
+    smallest distance, where readings are strongest.
 
     Raises:
-        UserError: if nothing was sampled to its end, or the sensors say the same again nowhere
-            near to where the counters have it.
+        UserError: if no turn is complete, or the readings do not repeat near the counters' full
+            turn.
     """
     repeats = [
         _period(rows)
@@ -60,29 +59,30 @@ def full_turn(turns: Turns) -> float:
 
 
 def wheel_sizes(turns: Turns) -> tuple[float, float]:
-    """Return how large the left and the right wheel are, over the mean of both.
+    """Return the sizes of the left and the right wheel over their mean.
 
-    Equal where the robot did not turn around either.
+    They are equal if the robot did not turn around a wheel.
     """
     if any((name, 1, 0) not in turns for name in PIVOTS):
         return 1.0, 1.0
-    # The fewer counts the larger the wheel that went round.
+    # The larger wheel needs fewer counts.
     right, left = (1.0 / _period(turns[name, 1, 0]) for name in PIVOTS)
     return 2.0 * left / (left + right), 2.0 * right / (left + right)
 
 
 def _period(rows: _Array) -> float:
-    """Return after how many counts the sensors say the same again, in a turn and back."""
+    """Return the counts after which the readings repeat, in a turn and back."""
     turned = _turned(rows)
     halves = _halves(np.abs(turned - turned[0]), rows[:, 4:])
     return float(np.mean([_repeats(*half) for half in halves]))
 
 
 def _repeats(turned: _Array, readings: _Array) -> float:
-    """Return after how many counts [N] readings [N, S] say the same again.
+    """Return the number of counts [N] after which readings [N, S] repeat.
 
     Raises:
-        UserError: if the best is at the edge of what was looked at, and the true one beyond.
+        UserError: if the best is at the edge of the searched range, so that the true one is beyond
+            it.
     """
     turned = turned - turned[0]
     periods = turned[-1] / TURNS * np.linspace(1.0 - _REACH, 1.0 + _REACH, 401)
@@ -102,12 +102,12 @@ def _repeats(turned: _Array, readings: _Array) -> float:
 
 
 def _turned(rows: _Array, sizes: tuple[float, float] = (1.0, 1.0)) -> _Array:
-    """Return how far the robot had turned to the left since it was placed, in counts [N]."""
+    """Return the robot's turn to the left since it was placed, in counts [N]."""
     return (sizes[1] * rows[:, 1] - sizes[0] * rows[:, 0]) / 2
 
 
 def _halves(turned: _Array, columns: _Array) -> list[tuple[_Array, _Array]]:
-    """Return the turn there and the turn back, if there was one, both as to the left."""
+    """Return the turn there and the turn back, if any, both as turns to the left."""
     top = int(turned.argmax())
     there = turned[: top + 1], columns[: top + 1]
     back = turned[top:][::-1], columns[top:][::-1]
@@ -124,16 +124,16 @@ def write_samples(
 ) -> list[Path]:
     """Write the samples of all objects and repeats, interpolated between readings.
 
-    However the robot was placed before an object, its sensors look where they do: the samples
-    are turned to agree in that, to the mean of them all.
+    The robot's start angle differs between objects, but its sensors' directions do not: the samples
+    are turned to agree with their mean.
 
     Args:
         out: folder.
         settings: the distances and angles.
-        turns: what was sampled.
-        robot: that sampled.
+        turns: the sampled turns.
+        robot: the robot that sampled.
         pulses: counts of a wheel in a full turn.
-        sizes: of the left and of the right wheel, over their mean.
+        sizes: sizes of the left and the right wheel over their mean.
     """
     keys = [(name, repeat) for name in settings.kinds for repeat in range(1, settings.repeats + 1)]
     seen = [_Seen(settings, turns, robot, pulses, sizes, *key) for key in keys]
@@ -166,7 +166,7 @@ class _Seen:
         repeat: int,
     ):
         self._settings, self._away = settings, settings.away(name)
-        #: Of every distance and half: angles [N], distances and readings [N, 1 + S], fraction [N].
+        #: For every distance and half: angles [N], distances and readings [N, 1 + S], fraction [N].
         self._halves: list[list[tuple[_Array, _Array, _Array]]] = []
         off = 0.0
         for k in range(settings.distances):
@@ -192,7 +192,7 @@ class _Seen:
             if k == 0:
                 self.directions = np.mean(looking, axis=0)
             offs = [_between(self.directions, one) for one in looking]
-            # Beyond what sensors see nothing says how the robot was turned.
+            # Beyond the sensors' range the robot's angle is unknown.
             offs = [off if math.isnan(offset) else offset for offset in offs]
             off = offs[-1]
             self._halves.append(
@@ -201,12 +201,12 @@ class _Seen:
         self._slipped()
 
     def _slipped(self) -> None:
-        """Add to the distances what the wheels slipped, by what sensors say after the way back."""
+        """Add the wheels' slip to the distances, from the readings after the turn back."""
         count = self._settings.angles
         both = [[_even(angle, each, count) for angle, each, _ in halves] for halves in self._halves]
         mean = np.array([np.mean(halves, axis=0) for halves in both])
         slopes = np.gradient(mean[..., 1:], self._away, axis=0)
-        # The later a direction is seen on the way there, the sooner it is on the way back.
+        # A direction that is seen late in the turn there is seen early in the turn back.
         apart = (1.0 - np.arange(count) / count / TURNS)[:, None]
         before = 0.0
         for k, halves in enumerate(self._halves):
@@ -237,14 +237,14 @@ class _Seen:
                 samples[:, a, s] = np.interp(
                     self._away, averaged[order, a, 0], averaged[order, a, 1 + s]
                 )
-        # A straight line through readings at the end of their range may leave it.
+        # A straight line through readings near the end of their range may leave the range.
         return samples.clip(0.0, 1.0)
 
 
 def _places(
     rows: _Array, sizes: tuple[float, float], wheel_base: float, robot: Sampler
 ) -> tuple[_Array, _Array]:
-    """Return where the robot was in a turn, ahead and to the left of where it was put, [N] m."""
+    """Return the robot's positions in a turn, ahead and to the left of its start, [N] m."""
     left, right = (np.diff(rows[:, w]) * sizes[w] / robot.pulses_per_metre for w in range(2))
     turns = (right - left) / wheel_base
     first = 2.0 * _turned(rows[:1], sizes)[0] / robot.pulses_per_metre / wheel_base
@@ -258,8 +258,8 @@ def _places(
 def _even(angle: _Array, columns: _Array, count: int) -> _Array:
     """Return columns [N, C] at even angles of a full turn, [count, C]: straight lines through them.
 
-    The weight of a row falls linearly to nothing 2 degrees off, or at the next angle where that is
-    nearer, or where the next row is if that is further.
+    The weight of a row falls linearly to zero at a distance of 2 degrees, or at the next angle if
+    it is nearer, or at the next row if it is farther.
     """
     grid = _TURN * np.arange(count) / count
     place = np.sort(angle % _TURN)
@@ -276,17 +276,17 @@ def _even(angle: _Array, columns: _Array, count: int) -> _Array:
 
 
 def _directions(angle: _Array, readings: _Array) -> NDArray[np.complex128]:
-    """Return for every sensor [S] at which angle of the turn it sees most, and how much."""
+    """Return every sensor's [S] angle of the largest reading in the turn, and that reading."""
     even = _even(angle, readings, 180)
     above = np.maximum(even - np.median(even, axis=0), 0.0)
     return (above * np.exp(1j * _TURN * np.arange(180) / 180)[:, None]).mean(axis=0)
 
 
 def _between(first: NDArray[np.complex128], seen: NDArray[np.complex128]) -> float:
-    """Return by how much the robot was turned since the first, rad; NaN where none sees enough.
+    """Return the robot's angle relative to the first half, rad; NaN if no sensor sees enough.
 
-    A sensor sees an object straight before it alike on both sides, so that the middle of what it
-    sees stays where it is, over all sensors, unless wheels slipped.
+    A sensor's readings are symmetric about an object straight ahead of it. So the middle of the
+    readings, over all sensors, changes only if wheels slip.
     """
     clear = (np.abs(seen) > _FAINT) & (np.abs(first) > _FAINT)
     if clear.sum() < 2:

@@ -1,4 +1,4 @@
-"""Sampling: what the robot is asked to do, in order, and what it answers into a folder."""
+"""Sampling: the robot's tasks in order, and their results in a folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from neurosim.sampling.turns import read_turns, reading_times, sample_object
 
 FORMAT, VERSION = "neurosim-sampling", 2
 
-#: Asks a person to put the robot down, at an object of a kind, or in the open ("open").
+#: Asks a person to place the robot, at an object of a kind, or on open floor ("open").
 Place = Callable[[str], None]
 
 
@@ -49,13 +49,13 @@ def sample(
         out: folder with ``sampling.json``, ``sensors.csv``, ``motors.csv`` and, for every object
             and repeat, a ``.sample`` file (``wall.sample``, ``wall-2.sample``, ...).
         robot: connected.
-        settings: what to sample.
-        place: asks a person to put the robot down: at an object facing it and touching it.
-        resume: go on where an earlier call was interrupted, with the same settings.
+        settings: of the sampling.
+        place: asks a person to place the robot at an object, facing it and touching it.
+        resume: continue an interrupted call, with the same settings.
         seed: of the choice of settings held out.
         progress: whether to show progress on stderr.
-        eye: a camera that measures the motors' settings; without it the counters do.
-        lab: what makes the same virtual lab again, of a virtual robot.
+        eye: a camera that measures the motors' settings instead of the counters.
+        lab: settings of a virtual robot's lab.
         options: kept in ``sampling.json``, for resuming.
 
     Returns:
@@ -66,9 +66,9 @@ def sample(
         and rad/s (``turn``).
 
     Raises:
-        UserError: if something stands at ``out``, what is resumed was begun with other settings
-            or another robot, or the robot cannot sample itself.
-        RobotError: if the robot is lost or stuck; what was sampled is kept.
+        UserError: if ``out`` exists, the resumed sampling was begun with other settings or another
+            robot, or the robot cannot sample itself.
+        RobotError: if the robot is lost or stuck; the samples are kept.
     """
     if not isinstance(robot, Sampler):
         raise UserError(
@@ -105,14 +105,14 @@ def _sample(
     progress: bool,
     eye: Eye | None,
 ) -> dict[str, Any]:
-    """Sample what has not been sampled yet; see :func:`sample`."""
+    """Take the missing samples; see :func:`sample`."""
     total = settings.repeats * settings.distances * len(settings.kinds)
     bar = Progress("sample", total, "turns") if progress else None
     try:
         for name in settings.kinds:
             for repeat in range(1, settings.repeats + 1):
                 sample_object(out, robot, settings, name, repeat, place, bar)
-                full_turn(read_turns(out))  # counters that are taken for others are said at once
+                full_turn(read_turns(out))  # wrong pulses per metre are reported at once
     finally:
         robot.stop()
         if bar is not None:
@@ -152,12 +152,12 @@ def _sample(
 
 
 def _body(robot: Sampler) -> dict[str, Any]:
-    """Return the numbers of the robot that tables need, besides the samples."""
+    """Return the robot's numbers that tables need in addition to the samples."""
     return {"full_speed": robot.full_speed, "radius": robot.geometry.radius}
 
 
 def _once(place: Place, where: str) -> Callable[[], None]:
-    """Return a function that asks for a place when it is first called."""
+    """Return a function that asks for the robot's placement at its first call."""
     return cache(lambda: place(where))
 
 
@@ -191,5 +191,5 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
                 )
 
 
-#: What tells one robot, and its line, from another when sampling is resumed.
+#: Keys that identify a robot and its line when sampling is resumed.
 _SAME = {"robot": ("virtual", "dialect", "baud"), "virtual_lab": ("robot_seed",)}

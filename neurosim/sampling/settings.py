@@ -1,4 +1,4 @@
-"""The samples that a robot takes, and the abilities that it needs."""
+"""Settings of a sampling, and the abilities of a robot that it needs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from neurosim.base.errors import UserError
 from neurosim.robots.base import Counters, Proximity, Robot, WholeSpeeds
 from neurosim.simulators.tables.sensor_table import LIGHT, OBSTACLE, WALL, cylinder
 
-#: A robot with more whole speeds of a motor than this drives a grid of them.
+#: Number of speeds of a motor above which a robot drives a grid of them.
 MOST_SPEEDS = 101
-#: How far a robot's sensors see that does not say it (``reach``), m.
+#: Range of a robot's sensors if it has no ``reach``, m.
 REACH = 0.043
 
 
@@ -27,7 +27,7 @@ class Sampler(Robot, Proximity, Counters, WholeSpeeds, Protocol):
 
 @dataclass(frozen=True)
 class SampleSettings(Checked):
-    """The samples to take.
+    """Settings of a sampling.
 
     Attributes:
         angles: Number of angles of a full turn in the .sample files.

@@ -1,8 +1,8 @@
-"""A robot turns in front of an object, at growing distances, and reads its sensors all the while.
+"""A robot turns in front of an object, at growing distances, and reads its sensors continuously.
 
-It turns as far back after every turn, so that neither cable nor errors wind up, and reads on the
-way back too. Last it turns in front of the wall around either wheel, which says how large its
-wheels are. :mod:`.resampling` evaluates the readings.
+After every turn it turns back, so that neither the cable winds up nor errors add up, and reads
+meanwhile, too. Last it turns around each wheel in front of the wall, which gives the wheels' sizes.
+:mod:`.resampling` evaluates the readings.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from neurosim.robots.odometry import Odometry
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.simulators.tables.sensor_table import LIGHT
 
-#: How far it turns, in nominal full turns: enough to see the beginning of the turn again.
+#: Length of a turn, in nominal full turns: enough to see the beginning of the turn again.
 TURNS = 7 / 6
 #: Speed of the wheels, as a fraction of full speed.
 SLOW = 0.08
-#: A robot whose counters stand for so long while it should move is stuck, s.
+#: Time after which a robot whose counters stand although it should move is stuck, s.
 STUCK = 3.0
-#: Between wall and rim when the robot turns around one wheel, at least, m.
+#: Smallest distance between wall and rim when the robot turns around one wheel, m.
 PIVOT_MARGIN = 0.01
-#: What stands for the object in ``sensors.csv`` where the robot turned around a wheel, and the
-#: directions of both wheels then: the wall is near when the turn begins again.
+#: Names in ``sensors.csv`` for turns around a wheel, and the directions of both wheels then: the
+#: wall is near when the turn begins again.
 PIVOTS = {"around-left": (0, 1), "around-right": (1, 0)}
 
-#: Columns of ``sensors.csv`` before those of the sensors; the last ones are part of a turn's rows.
+#: Columns of ``sensors.csv`` before those of the sensors; the last ones are in a turn's rows.
 _COLUMNS = (
     "object", "repeat", "distance", "turn", "whole", "time", "seconds",
     "left", "right", "ahead", "aside",
@@ -55,9 +55,9 @@ def sample_object(
     place: Callable[[str], None],
     bar: Progress | None,
 ) -> None:
-    """Turn at every distance from an object at which that was not done yet.
+    """Turn at every distance from an object that is still missing.
 
-    The first time at a wall then around either wheel.
+    At the first wall, also turn around each wheel.
     """
     path = out / "sensors.csv"
     done = read_turns(out) if path.exists() else {}
@@ -88,11 +88,10 @@ def sample_object(
 
 
 def read_turns(folder: str | Path) -> Turns:
-    """Read what was sampled: (object or pivot, repeat, distance) -> rows [N, 4 + S].
+    """Read the sampled turns: (object or pivot, repeat, distance) -> rows [N, 4 + S].
 
-    Columns: counts of both wheels; where the robot was, ahead and to the left of where it had
-    been put (m); activations. Turns that did not come to their end are left out; of a turn that
-    was made again the last counts.
+    Columns: counts of both wheels; the robot's position, ahead and to the left of its start (m);
+        activations. Incomplete turns are left out; of a repeated turn the last one counts.
     """
     parsers: dict[str, Any] = {"object": str, "whole": files.flag}
     parsers |= dict.fromkeys(("repeat", "distance", "turn"), files.integer)
@@ -114,14 +113,14 @@ def _sensors(count: int) -> tuple[str, ...]:
 
 
 def reading_times(folder: str | Path) -> NDArray[np.float64]:
-    """Return how long every reading of the sensors took, s."""
+    """Return the duration of every reading of the sensors, s."""
     path = Path(folder) / "sensors.csv"
     table = files.read_csv(path, {"seconds": files.number}, drop_torn_line=True)
     return table["seconds"].to_numpy()
 
 
 class _Whereabouts(Odometry):
-    """Where the robot is by its counters, from where it was placed."""
+    """The robot's pose by its counters, relative to its start."""
 
     def __init__(self, robot: Sampler):
         super().__init__(robot, np.zeros(3))
@@ -129,14 +128,14 @@ class _Whereabouts(Odometry):
 
     @property
     def turned(self) -> float:
-        """To the left, in counts of a wheel."""
+        """Turn to the left, in counts of a wheel."""
         return (self.counts[1] - self.counts[0]) / 2
 
     def read(self) -> NDArray[np.float64]:
         """Read the counters; return the pose, [3] (m, m, rad).
 
         Raises:
-            RobotError: if they stand for too long.
+            RobotError: if they do not change for too long.
         """
         robot, now, before = self._robot, self._robot.clock.now(), self.counts
         pose = super().read()
@@ -151,7 +150,7 @@ class _Whereabouts(Odometry):
         return pose
 
     def go(self, left: int, right: int, to_go: Callable[[], float]) -> None:
-        """Drive slowly until nothing is to go and stop."""
+        """Drive slowly to the goal and stop."""
         pace, self._since = pace_of(self._robot, SLOW), self._robot.clock.now()
         self.read()
         if to_go() > 0:
@@ -172,7 +171,7 @@ def _turn(
     what: tuple[Any, ...],
     signs: tuple[int, int] = (-1, 1),
 ) -> None:
-    """Turn by more than a full turn, to the left by default, and back, and write it all down."""
+    """Turn by more than a full turn, to the left by default, and back; record the readings."""
     read = robot.lights if what[0] == LIGHT else robot.activations  # type: ignore[attr-defined]
     full = TURNS * math.pi * robot.geometry.wheel_base * robot.pulses_per_metre
     pace = pace_of(robot, SLOW)
@@ -182,12 +181,12 @@ def _turn(
         robot.set_speeds(*(-pace * sign if back else pace * sign for sign in signs))
         done = False
         while not done:
-            # The sensors are scanned right behind the counters.
+            # The sensors are read directly after the counters.
             whereabouts.read()
             begin = robot.clock.now()
             readings = read()
             now = robot.clock.now()
-            robot.clock.sleep_until(begin + robot.scan)  # until then they read the same
+            robot.clock.sleep_until(begin + robot.scan)  # until then their readings do not change
             turned = sense * whereabouts.turned
             done = turned <= 0 if back else turned >= full
             ahead, aside, _ = map(float, whereabouts.pose)
@@ -197,5 +196,5 @@ def _turn(
 
 
 def pace_of(robot: Sampler, speed: float) -> int:
-    """Return the whole speed of the robot's that is nearest to ``speed`` of full, 1 or more."""
+    """Return the robot's speed number nearest to ``speed`` of full speed, 1 or more."""
     return max(round(speed * robot.full_speed), 1)

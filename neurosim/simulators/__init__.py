@@ -1,7 +1,7 @@
 """Simulators behind one protocol: state and command in, state out, for a whole batch.
 
-PyTorch takes seconds to import, and the virtual lab needs a module of this package without it:
-names are imported when they are used.
+Names are imported when they are used, because PyTorch takes seconds to import, and the virtual lab
+needs a module of this package without it.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Parameters of a simulator that can be adjusted until it does what reality did."""
+"""Parameters of a simulator that can be adjusted to agree with reality."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Adjustable:
     """A named parameter with bounds.
 
     Attributes:
-        name: of it.
-        value: before anything was adjusted, in ``unit``.
+        name: its name.
+        value: value before any adjustment, in ``unit``.
         low, high: bounds.
-        unit: SI, or nothing.
+        unit: SI unit, or empty.
         log: whether its scale is logarithmic.
     """
 
@@ -42,7 +42,7 @@ class Adjustable:
         self.checked(self.value)
 
     def at(self, fraction: float) -> float:
-        """Return the value at a fraction 0..1 of the range; what is outside is cut to it."""
+        """Return the value at a fraction of the range, cut to 0..1."""
         fraction = min(max(fraction, 0.0), 1.0)
         if self.log:
             value = self.low * (self.high / self.low) ** fraction
@@ -51,7 +51,7 @@ class Adjustable:
         return min(max(value, self.low), self.high)
 
     def fraction(self, value: float) -> float:
-        """Return at which fraction of the range a value is.
+        """Return a value as a fraction of the range.
 
         Raises:
             UserError: if it is out of bounds.
@@ -82,8 +82,8 @@ def adjustables(
     """Return attributes of an object as parameters.
 
     Args:
-        values: has an attribute of each name.
-        ranges: by name the bounds, the unit, and whether the scale is logarithmic.
+        values: an object with an attribute of each name.
+        ranges: bounds, unit, and whether the scale is logarithmic, by name.
 
     Raises:
         UserError: if a value is out of bounds.
@@ -93,11 +93,11 @@ def adjustables(
 
 @runtime_checkable
 class AdjustableSimulator(Protocol):
-    """A simulator with parameters; what it is otherwise is :class:`Simulator`'s to say."""
+    """A :class:`Simulator` with adjustable parameters."""
 
     @property
     def parameters(self) -> Sequence[Adjustable]:
-        """Return its parameters, with their values as they are."""
+        """Return its parameters with their present values."""
         ...
 
     def adjusted(self, values: NDArray[np.float64]) -> Simulator:

@@ -44,8 +44,8 @@ class InPlace(Protocol):
     """A simulator of a robot in a place that can be exchanged.
 
     Attributes:
-        place: walls and obstacles around the robot.
-        bearings: where each sensor looks, [S] rad to the left; NaN where it sees nothing.
+        place: the place around the robot.
+        bearings: direction of each sensor, [S] rad to the left; NaN for one that sees nothing.
     """
 
     place: Place
@@ -60,10 +60,10 @@ class InPlace(Protocol):
 
 @runtime_checkable
 class Sensing(Protocol):
-    """A simulator with sensors in several senses, such as proximity and light.
+    """A simulator with several kinds of sensors (senses), such as proximity and light.
 
     Attributes:
-        senses: those that are read.
+        senses: the senses that are read.
     """
 
     senses: tuple[str, ...]
@@ -95,9 +95,9 @@ class Rollouts(Protocol):
 
         Args:
             starts: poses where the robot is placed.
-            rng: source of all that is drawn, or a seed.
+            rng: source of all random numbers, or a seed.
             placing: error in placing the robot: standard deviations in x and y (m) and in
-                heading (rad). None: it stands there already.
+                heading (rad). None: it is there already.
         """
         ...
 
@@ -106,46 +106,47 @@ class Rollouts(Protocol):
 
         Args:
             genes: a row for each individual.
-            draws: of :meth:`draw`; one that was made with ``starts`` alone stands for what the
-                simulator expects: no noise, the mean of the members.
+            draws: of :meth:`draw`; one with ``starts`` alone gives the expected motion: no noise,
+                the mean of the members.
             reuse: whether the arrays may be overwritten by the next run.
         """
         ...
 
 
 class Simulator:
-    """Predicts the state that a command leads to, for a whole batch at once; subclass it.
+    """Predicts the state after a command, for a whole batch at once; subclass it.
 
-    A simulator keeps no hidden state: what a trajectory must remember is in its ``state``. A
-    controller cannot tell which simulator it runs in. Only ``state_names``, ``command_names``,
-    :meth:`start` and :meth:`step` must be given.
+    A simulator keeps no hidden state: all memory of a trajectory is in its ``state``. All
+        simulators look the same to a controller. Only ``state_names``, ``command_names``,
+        :meth:`start` and :meth:`step` must be given.
 
     Poses, states and commands have a row for each robot. They may be tensors, NumPy arrays or
-    lists, of any type of number: a subclass is given tensors of its ``dtype``. Where the first one
-    is a tensor a tensor is returned, else an array; both are of the ``dtype``.
+    lists, of any type of number: a subclass gets tensors of its ``dtype``. If the first one is a
+    tensor, a tensor is returned, else an array; both have the ``dtype``.
 
     Attributes:
         kind: its name in files.
         state_names: the columns of a state; the first three are x (m), y (m), theta (rad).
-        command_names: the columns of a command; a ``duration`` (s), where there is one, is last.
-        reading_names: of the sensors that :meth:`sense` reads; none by default.
+        command_names: the columns of a command; a ``duration`` (s), if any, is last.
+        reading_names: names of the sensors that :meth:`sense` reads; none by default.
         notes: sentences for the user, such as about obstacles of a size that was not sampled.
-        members: how many networks an ensemble has; a state may name one.
-        has_noise: whether :meth:`step` or :meth:`sense` draws noise where it is given a generator.
-        noise_width: where above 0, ``step`` and ``sense`` also take the numbers that the noise is
-            made of, ``z`` [B, noise_width], in place of a generator.
+        members: number of networks in an ensemble; a state may name one.
+        has_noise: whether :meth:`step` or :meth:`sense` draws noise from a given generator.
+        noise_width: if above 0, ``step`` and ``sense`` also take the random numbers of the noise,
+            ``z`` [B, noise_width], instead of a generator.
         noise_kind: of these numbers: ``normal`` (standard) or ``uniform`` (-1 to 1).
-        domain: lowest and highest value of the command's columns that it was made from, by name;
-            a column that is not named has no limits.
+        domain: lowest and highest value of each column of a command in its data, by name; a column
+            without an entry has no limits.
         slack: commands may leave the domain by this fraction of its width.
-        knows_gaps: whether :meth:`supported` tells gaps within the domain.
-        radius: of the robot, m; None: its size is not known.
-        perimeter: where the guard ends drives on the robot that it is a simulator of; None: nobody
-            knows of one, and no drive ends there.
-        bearings: where each sensor looks, [S] rad to the left of straight ahead, NaN where one
-            sees nothing; None: it is not known.
-        dtype: in which it computes.
-        device: where it computes on what is no tensor, as PyTorch names it; tensors stay on theirs.
+        knows_gaps: whether :meth:`supported` knows gaps within the domain.
+        radius: of the robot, m; None: unknown.
+        perimeter: limits at which the guard ends drives on its robot; None: unknown, and no drive
+            ends there.
+        bearings: direction of each sensor, [S] rad to the left of straight ahead, NaN for one that
+            sees nothing; None: unknown.
+        dtype: type of its numbers.
+        device: PyTorch's name of the device for arguments that are not tensors; tensors stay on
+            their own.
 
     Example:
         >>> class Cart(ns.Simulator):
@@ -194,13 +195,13 @@ class Simulator:
 
     @property
     def uncertain(self) -> bool:
-        """Whether random samples differ: there is noise, or members that disagree."""
+        """Whether random samples differ, because of noise or of several members."""
         return self.has_noise or self.members > 1
 
     def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether commands [..., C] are like some that it was made from, [...].
+        """Return whether commands [..., C] are like some in its data, [...].
 
-        That is within the domain; a simulator that knows more of them may say more.
+        By default these are the commands within the domain; a simulator may know gaps.
         """
         supported = np.asarray(np.isfinite(commands).all(-1))
         for place, name in enumerate(self.command_names):
@@ -211,12 +212,12 @@ class Simulator:
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
 
-        With a generator each draws the member that it moves as.
+        With a generator, each robot's ensemble member is drawn.
         """
         raise unwritten(self, "start")
 
     def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
-        """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
+        """Return the states [B, S] of robots with ensemble members [B], -1 for the mean."""
         return self.start(pose)
 
     def step(
@@ -224,7 +225,7 @@ class Simulator:
     ) -> Tensor:
         """Return the states [B, S] after ``command`` [B, C] was carried out from ``state``.
 
-        Noise is drawn only where a generator is given; without one the answer is the mean.
+        Noise is drawn only from a given generator; without one the result is the mean.
         """
         raise unwritten(self, "step")
 
@@ -238,14 +239,14 @@ class Simulator:
         steps: int,
         first: NDArray[np.int64] | None = None,
     ) -> NDArray[np.float32] | None:
-        """Return the numbers [R, steps, noise_width] that the noise of samples is made of.
+        """Return the random numbers [R, steps, noise_width] of the samples' noise.
 
-        None where the simulator draws its noise itself.
+        It is None if the simulator draws its noise itself.
 
         Args:
             seeds: [R] of the samples.
-            steps: how many steps.
-            first: [R] the number of the first of them; by default 0.
+            steps: number of steps.
+            first: [R] number of the first step; by default 0.
         """
         if not self.noise_width:
             return None
@@ -258,8 +259,8 @@ class Simulator:
         """Return the states [B, S] of robots that stand still at poses [B, 3] (m, m, rad).
 
         Args:
-            poses: where they stand.
-            member: [B] which member of an ensemble each moves as, -1 for the mean; None: the mean.
+            poses: poses of the robots.
+            member: [B] ensemble member of each, -1 for the mean; None: the mean.
         """
         pose = torch.from_numpy(np.asarray(poses, np.float64))
         if member is None or self.members == 1:
@@ -267,17 +268,17 @@ class Simulator:
         return self.start_as(pose, torch.from_numpy(member)).numpy()
 
     def over(self, state: Tensor) -> Tensor:
-        """Return states [B, S] in which the last command is over: given again, it begins again."""
+        """Return states [B, S] after the last command's end; the same command begins again."""
         return state
 
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64] | None:
-        """Return random poses [count, 3] where the robot fits; None: it knows of no place."""
+        """Return random poses [count, 3] at which the robot fits; None: there is no place."""
         return None
 
     def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_] | None:
         """Return whether a robot at poses [..., 3] touches something, [...].
 
-        None: it knows of nothing that could be touched.
+        It is None if there is nothing to touch.
         """
         return None
 
@@ -286,29 +287,29 @@ class Simulator:
         return []
 
     def elsewhere(self, count: int, seed: int) -> Simulator:
-        """Return this simulator in ``count`` other places, drawn from a seed.
+        """Return this simulator in ``count`` other places, random from a seed.
 
         Raises:
-            UserError: if it knows of no places.
+            UserError: if it has no places.
         """
         raise UserError(
             f"a simulator of the kind {self.kind} has no arena, so there are no random arenas"
         )
 
     def conditions(self) -> dict[str, Any]:
-        """Return settings that may differ from those in its file, such as its noise.
+        """Return settings that can differ from those in its file, such as its noise.
 
-        It is written next to what was evolved in it, and is the same when that is resumed.
+        They are saved with controllers that evolve in it, and must be the same on resume.
         """
         return {}
 
     def for_export(self, dtype: torch.dtype) -> Simulator:
         """Return this simulator computing in ``dtype``, for :mod:`neurosim.simulators.export`.
 
-        Its step must be one sequence of tensor operations, whatever it is given.
+        Its step must be the same sequence of tensor operations for all arguments.
 
         Raises:
-            UserError: if it is not.
+            UserError: if it is not the same.
         """
         raise UserError(
             f"a simulator of the kind {self.kind} cannot be exported, because the number of "
@@ -316,9 +317,9 @@ class Simulator:
         )
 
     def compiled(self) -> Any:
-        """Return the model that compiled functions take, a ``NamedTuple``; None: there is none.
+        """Return the model for compiled functions, a ``NamedTuple``; None: there is none.
 
-        :func:`neurosim.simulators.engine.compiled` says which functions there are for its class.
+        :func:`neurosim.simulators.engine.compiled` lists the functions of its class.
         """
         return None
 
@@ -328,12 +329,12 @@ class Simulator:
 
     @property
     def _runs_compiled(self) -> bool:
-        """Whether there are compiled functions; they are given noise, and draw none themselves."""
+        """Whether there are compiled functions; they take noise, and do not draw it themselves."""
         given = self.noise_width > 0 or not self.has_noise
         return given and self.compiled() is not None
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
-        """Return compiled rollouts of a controller, where there are any; None: it is stepped.
+        """Return compiled rollouts of a controller, if any; None: it is stepped.
 
         A test compares their results with :meth:`step`, for the same samples.
         """
@@ -347,7 +348,7 @@ class Simulator:
 
 
 def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., Any]:
-    """Return a method of simulators that takes arrays and lists as well; see the class."""
+    """Return a method of simulators that also takes arrays and lists; see the class."""
     arguments = _OF_ROWS[name]
 
     @wraps(method)
@@ -357,7 +358,7 @@ def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., An
             return method(self, *given, **options)
         rows = list(given[: len(arguments)])
         rows += [options.pop(one) for one in arguments[len(rows) :] if one in options]
-        pairs = zip(arguments, rows, strict=False)  # what is missing, Python says itself
+        pairs = zip(arguments, rows, strict=False)  # Python reports missing arguments itself
         tensors = [_tensor(self, name, argument, one) for argument, one in pairs]
         result = method(self, *tensors, *given[len(arguments) :], **options)
         return result if isinstance(rows[0], Tensor) else result.detach().cpu().numpy()
@@ -366,10 +367,10 @@ def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., An
 
 
 def _tensor(simulator: Simulator, method: str, argument: str, rows: ArrayLike | Tensor) -> Tensor:
-    """Return rows [B, N] as a tensor that a simulator computes with.
+    """Return rows [B, N] as a tensor for a simulator.
 
     Raises:
-        UserError: if they are no numbers, or of another shape.
+        UserError: if they are not numbers, or have another shape.
     """
     if not isinstance(rows, Tensor):
         try:
@@ -379,7 +380,7 @@ def _tensor(simulator: Simulator, method: str, argument: str, rows: ArrayLike | 
     names = {"pose": ("x", "y", "heading"), "command": simulator.command_names}.get(
         argument, tuple(simulator.state_names)
     )
-    # Readings may depend on the pose alone: some simulators take poses there.
+    # Readings may depend on the pose alone: then poses are accepted, too.
     wide = rows.ndim == 2 and (rows.shape[1] == len(names) or method == "sense")
     if not wide:
         more = " (start(pose) makes states)" if argument == "state" else ""

@@ -6,8 +6,8 @@ wrapped: a turn of 400 degrees is 400, not 40. Functions take NumPy arrays of an
 shape; ``arc`` and ``exp`` follow Lynch and Park, Modern Robotics (2017), section 3.3 in the
 plane.
 
-The same functions of PyTorch tensors are in :mod:`neurosim.base.se2.tensors`, those that compiled
-code calls in :mod:`neurosim.base.se2.compiled`; the three agree but for rounding.
+:mod:`neurosim.base.se2.tensors` has the same functions for PyTorch tensors, and
+:mod:`neurosim.base.se2.compiled` those for compiled code; the three differ only by rounding.
 
 The *mid-turn frame* of a displacement stands at its start and is turned by half of its turn. A
 constant twist (v_x, v_y, omega) displaces in it by (v_x, v_y) times the :func:`chord` of omega.
@@ -53,9 +53,8 @@ def exp(twist: ArrayLike) -> NDArray:
 def log(displacement: ArrayLike) -> NDArray:
     """Return the constant body twist whose exponential is ``displacement``.
 
-    The heading is taken as it is, not wrapped, so a displacement that turns by a whole number
-    of full turns (other than zero) and still moves has no logarithm: the result is not finite
-    there and large near it.
+    The heading is not wrapped, so a displacement that turns by a whole number of full turns (other
+    than zero) and still moves has no logarithm: the result is not finite there and large near it.
     """
     displacement = np.asarray(displacement, float)
     s, c = _sinc_cosc(displacement[..., 2])
@@ -76,7 +75,7 @@ def mid_turn(displacement: ArrayLike) -> NDArray:
 
 
 def chord(turn: ArrayLike) -> NDArray:
-    """Return the length of an arc's chord over that of the arc, below 0 where it is turned round.
+    """Return an arc's chord length over the arc's length, below 0 where the chord points back.
 
     It is sin(turn / 2) / (turn / 2).
     """
@@ -84,7 +83,7 @@ def chord(turn: ArrayLike) -> NDArray:
 
 
 def arc_length(displacement: ArrayLike) -> NDArray:
-    """Return the length of the constant-twist arc, infinite or huge where there is none."""
+    """Return the length of the constant-twist arc; infinite or very large if no arc exists."""
     displacement = np.asarray(displacement, float)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.hypot(displacement[..., 0], displacement[..., 1])
@@ -92,7 +91,7 @@ def arc_length(displacement: ArrayLike) -> NDArray:
 
 
 def arc(displacement: ArrayLike, fraction: ArrayLike) -> NDArray:
-    """Return where the constant-twist arc to ``displacement`` stands after ``fraction`` of it.
+    """Return the pose on the constant-twist arc to ``displacement`` after ``fraction`` of it.
 
     Shapes broadcast: displacements (..., 3) against fractions (...,).
     """
@@ -108,7 +107,7 @@ def of_wheels(left: ArrayLike, right: ArrayLike, wheel_base: float) -> NDArray:
     """Return the body twists (..., 3) of a differential drive.
 
     Args:
-        left, right: speeds of the wheels, m/s; or their ways, m, which give displacements' twists.
+        left, right: speeds of the wheels, m/s; or their distances, m, for twists of displacements.
         wheel_base: distance between the wheels, m.
     """
     left, right = np.asarray(left, float), np.asarray(right, float)

@@ -1,7 +1,7 @@
 """Planar poses and displacements in compiled code, one at a time; see :mod:`neurosim.base.se2`.
 
-Every function takes numbers and returns a tuple of them, and becomes a part of the Numba function
-that calls it, which it costs nothing.
+Every function takes numbers and returns a tuple of numbers. Numba copies it into its caller, so
+that a call costs nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from neurosim.base.kernels import kernel
 
 #: Below this square of half the turn a series is exact to rounding, and takes less time.
 _SMALL = 0.04
-#: An arc that turns by no more than this (rad) is a straight line: ratios of such sines may be 0/0.
+#: An arc with a smaller turn (rad) is a straight line: ratios of such sines may be 0/0.
 _STRAIGHT = 1e-100
 
 
@@ -33,7 +33,7 @@ def exp(vx, vy, omega):
 
 @kernel(inline="always")
 def compose_exp(x, y, theta, vx, vy, omega):
-    """Return the pose reached by a constant body twist: ``compose`` of ``exp`` for less work."""
+    """Return the pose reached by a constant body twist: a faster ``compose`` of ``exp``."""
     along, heading = chord(omega), theta + 0.5 * omega
     cos, sin = along * math.cos(heading), along * math.sin(heading)
     return x + cos * vx - sin * vy, y + sin * vx + cos * vy, theta + omega
@@ -59,7 +59,7 @@ def chord(turn):
 
 @kernel(inline="always")
 def arc_length(dx, dy, turn):
-    """Return the length of the constant-twist arc, infinite or huge where there is none."""
+    """Return the length of the constant-twist arc; infinite or very large if no arc exists."""
     along = abs(chord(turn))
     return math.sqrt(dx * dx + dy * dy) / along if along > 0.0 else math.inf
 
@@ -68,8 +68,8 @@ def arc_length(dx, dy, turn):
 def arc(dx, dy, turn, fraction):
     """Return x and y of a constant-twist arc after a fraction of it.
 
-    As the chord's length and direction say; ``dx`` and ``dy`` may be in any frame, and x and y
-    are in the same.
+    It is computed from the chord's length and direction. ``dx`` and ``dy`` may be in any frame; x
+    and y are in the same one.
     """
     half = 0.5 * turn
     part, angle = fraction, 0.0

@@ -1,4 +1,4 @@
-"""The rendered roof camera: exposures, a clock of its own, sensor noise, frames on time."""
+"""The rendered roof camera: exposures, its own clock, sensor noise, frames on time."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from neurosim.lab.camera.optics import Optics
 from neurosim.lab.nxt.params import BOARD, CameraParams
 from tracking.camera.cameras import Camera, OnFrame
 
-#: An exposure is looked at at these fractions of its duration; between them the robot moves evenly.
+#: Fractions of an exposure at which the robot's pose is taken; between them it moves evenly.
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-#: How much of the exposure each stands for, as the blur asks for (in pixels of movement).
+#: Weight of each pose in the exposure, by the blur (in pixels of movement).
 _STILL = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
 _SLOW = np.array([0.25, 0.0, 0.5, 0.0, 0.25])
 _FAST = np.array([0.125, 0.25, 0.25, 0.25, 0.125])
 _NOISE_TILE = 256
-#: Pictures of the empty board with noise on, kept to start frames from.
+#: Number of stored pictures of the empty board with noise, on which frames are painted.
 _BANK = 8
 
 
@@ -31,7 +31,7 @@ _BANK = 8
 def _seen_by(params: CameraParams, board: Board) -> tuple[Optics, np.ndarray, np.ndarray]:
     """Return the optics, and board coordinates of every pixel on the ground and at marker height.
 
-    One lab after the other has the same camera.
+    The result is kept, because successive labs have the same camera.
     """
     optics = Optics(params, board)
     return optics, optics.plane_map(0.0), optics.plane_map(scene.MARKER_HEIGHT)
@@ -41,17 +41,17 @@ class RoofCamera(Camera):
     """A camera under the roof that sees the board, its floor and the robot.
 
     The lab moves it through its exposures; :meth:`render` alone makes a picture of anything.
-    Frames come as ``on_frame(camera_time, picture)``, the picture uint8 [H, W, 3] BGR and the
-    caller's to keep, the time that of the middle of the exposure on the camera's own clock.
+    Frames come as ``on_frame(camera_time, picture)``, with the picture as uint8 [H, W, 3] BGR,
+    which the caller may keep, and the middle of the exposure on the camera's own clock.
 
     Args:
         params: optics, sensor and clock.
         seed: of the board's texture and all noise.
         now: returns the lab's time in seconds.
-        around: the place that it looks at.
+        around: the place in its view.
     """
 
-    #: The lab's time stands still while a frame is taken.
+    #: The lab's time does not advance while a frame is taken.
     waits, looked_after = True, False
 
     def __init__(
@@ -113,11 +113,11 @@ class RoofCamera(Camera):
         self._begun, self._frame, self._moment = self._now(), 0, 0
 
     def stop(self) -> None:
-        """Deliver no more frames; one that is being exposed is lost."""
+        """Deliver no more frames; a frame in exposure is lost."""
         self._on_frame = None
 
     def carry(self, markers: Mapping[str, Any]) -> None:
-        """Let the robot carry these markers from now on, as recording.json has them.
+        """Let the robot carry these markers from now on, in the form of recording.json.
 
         Raises:
             UserError: if a tag does not lie on the robot.
@@ -126,17 +126,17 @@ class RoofCamera(Camera):
 
     @property
     def due(self) -> float:
-        """The lab time at which the camera next wants to look, infinite when it is stopped."""
+        """The lab time of the camera's next look, infinite when it is stopped."""
         if self._on_frame is None:
             return math.inf
         return self._lab_time(_MOMENTS[self._moment])
 
     def look(self, pose: np.ndarray, lamp_light: float) -> None:
-        """Take in the world at :attr:`due`; deliver a frame when its exposure is over.
+        """Observe the lab at :attr:`due`; deliver a frame at the end of its exposure.
 
         Args:
             pose: [3] (m, m, rad).
-            lamp_light: the lamp's brightness summed until now, in seconds of full brightness.
+            lamp_light: the integral of the lamp's brightness so far, in seconds of full brightness.
         """
         if self._moment == 0:
             self._lamp_before = lamp_light
@@ -154,7 +154,7 @@ class RoofCamera(Camera):
             self._on_frame(stamp, self.render(self._poses, lamp))
 
     def clock_at(self, time: float) -> float:
-        """Return the time of the camera's clock at a lab time (s), without jitter."""
+        """Return the camera clock's time at a lab time (s), without jitter."""
         return self.params.clock_offset + (1.0 + self.params.clock_drift) * time
 
     def project(self, points: np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ class RoofCamera(Camera):
         return self.params.noise * self._rng.standard_normal(self._ground.shape, np.float32)
 
     def _blur(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return as many poses as the movement asks for, and their fractions of the exposure."""
+        """Return as many poses as the movement needs, and their fractions of the exposure."""
         if len(poses) == 1:
             return poses, np.ones(1)
         moved = poses[-1] - poses[0]

@@ -1,7 +1,7 @@
-"""Photographs to calibrate the virtual roof camera with, as a person would take them.
+"""Photographs for the calibration of the virtual roof camera, as a person would take them.
 
-A chessboard held under the camera at several places, distances and tilts, and the empty board
-with its reference marks, clicked on by a careful hand.
+They show a chessboard at several positions, distances and tilts, and the empty board with its
+reference marks, which are clicked with a small error.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from neurosim.lab.nxt.params import CameraParams
 #: The chessboard: inner corners along its length and width, and the side of a square (m).
 CORNERS = (9, 6)
 SQUARE = 0.04
-#: A click lands this far from the mark (standard deviation, px).
+#: Error of a click on a mark (standard deviation, px).
 CLICK_ERROR = 0.3
 
 _HALF = np.array([(CORNERS[0] + 1) * SQUARE / 2, (CORNERS[1] + 1) * SQUARE / 2])
@@ -49,19 +49,19 @@ def render_photographs(
     *,
     scale: float = 1.0,
 ) -> Photographs:
-    """Render what ``neurosim calibrate`` needs into a new folder.
+    """Render the pictures for ``neurosim calibrate`` into a new folder.
 
     ``chessboard-01.jpg`` and on: photographs of a chessboard of 9 x 6 inner corners, 40 mm
     apart. ``board.jpg``: the empty board with its eight crosses. ``points.csv``: the crosses'
     clicked pixels and board coordinates, columns u, v (px), x, y (m).
 
     Args:
-        folder: where to, new or empty.
+        folder: a new or empty folder.
         camera_params: the camera.
-        seed: of the lab that the camera hangs in.
+        seed: of the camera's lab.
         count: chessboard photographs, at least 1.
-        scale: size of all that is in the pictures, and of the camera's height, over the roof
-            camera's: chessboard and crosses are so much smaller.
+        scale: size of the objects in the pictures, and of the camera's height, relative to the roof
+            camera's.
 
     Raises:
         UserError: if ``folder`` is not empty or ``count`` is not positive.
@@ -128,7 +128,7 @@ def _paint_chessboard(picture, rays, rotation, translation):
     height, width = rays.shape[:2]
     normal = rotation[:, 2]
     reach = normal[0] * translation[0] + normal[1] * translation[1] + normal[2] * translation[2]
-    # The more it faces the lamps above, the brighter.
+    # It is brightest when it faces the lamps above.
     light = 0.55 + 0.45 * normal[2]
     for v in range(1, height - 1):
         for u in range(1, width - 1):

@@ -1,9 +1,9 @@
 """The scene under the roof camera: floor, board and robot, painted pixel by pixel.
 
-Colours are blue, green, red grey levels in full light. Everything of the robot that shows is
-painted in the plane of its markers. A pixel is the mean of 2 x 2 samples (3 x 3 for the ground),
-each with edges blurred over its own breadth, so that centres come out to hundredths of a pixel.
-Of a robot that moves during the exposure every pose has two of the four, on one diagonal of the
+Colours are blue, green, red grey levels in full light. All visible parts of the robot are painted
+in the plane of its markers. A pixel is the mean of 2 x 2 samples (3 x 3 for the ground),
+each with edges blurred over its own breadth, so that centres are exact to hundredths of a pixel. If
+a robot moves during the exposure, every pose uses two of the four samples, on one diagonal of the
 pixel, and the next pose the other two.
 """
 
@@ -33,7 +33,7 @@ MARKER_DIAMETER = 0.06
 MARKER_HEIGHT = 0.10
 LAMP_RADIUS = 0.010
 
-#: Reference marks on the board: crosses so far inside its edges, m.
+#: Distance of the reference crosses on the board from its edges, m.
 _MARK_INSET, _MARK_ARM, _MARK_HALF_WIDTH = 0.05, 0.03, 0.004
 
 _BOARD_COLOUR = (208.0, 214.0, 212.0)
@@ -50,29 +50,29 @@ _DOT_RADIUS = 0.003
 _WHEEL_COLOUR = (118.0, 118.0, 116.0)
 _SENSOR_COLOUR = (40.0, 38.0, 38.0)
 _BODY_COLOUR = (20.0, 20.0, 21.0)
-#: What :func:`paint_robot` takes for a robot with its two coloured markers.
+#: Argument of :func:`paint_robot` for a robot with two coloured markers.
 NO_TAG = np.zeros((0, 0)), np.array([0.0, 0.0, 1.0, 0.0, 1.0])
 _TAG_BLACK = (30.0, 30.0, 31.0)
 #: Boxes in the robot frame: x from and to, y from and to (m). The right wheel mirrors the left.
 _WHEEL = (-0.028, 0.028, 0.052, 0.079)
 _SENSOR_ARM = (0.045, 0.075, -0.102, 0.102)
 _BODY = (-0.128, 0.108, -0.052, 0.052)
-#: Nothing of the robot, nor of its lamp's glow, is further than this from its pose (m).
+#: Largest distance of the robot's parts and its lamp's glow from its pose (m).
 REACH = 0.14
 _GRAIN = 0.02
 
 
-#: Compiles the loops over pixels; sums may be taken in another order, which no pixel shows.
+#: Compiles the loops over pixels; the order of sums may change, which no pixel shows.
 _painted = njit(cache=True, error_model="numpy", fastmath=True)
 
 
 def marks_of(board: Board) -> np.ndarray:
-    """Return where the marks are, [8, 2] (m): near the board's corners and its edges' middles."""
+    """Return the marks' positions, [8, 2] (m): near the board's corners and its edges' middles."""
     x, y = board.length / 2 - _MARK_INSET, board.width / 2 - _MARK_INSET
     return np.array([(a, b) for b in (-y, 0.0, y) for a in (-x, 0.0, x) if (a, b) != (0.0, 0.0)])
 
 
-#: Those of the usual board.
+#: Marks of the usual board.
 MARKS = tuple(map(tuple, marks_of(BOARD).tolist()))
 
 
@@ -89,7 +89,7 @@ def grain(rng: np.random.Generator, room: float) -> np.ndarray:
 
 @_painted
 def _edge(depth, breadth):
-    """Return how much of a sample of this breadth lies inside an edge at this depth."""
+    """Return the part of a sample of this breadth that is inside an edge at this depth."""
     return min(max(0.5 + depth / breadth, 0.0), 1.0)
 
 
@@ -105,12 +105,12 @@ def paint_ground(plane, texture, gradient, vignetting, board=BOARD):
     Args:
         plane: board coordinates of every pixel's centre at height 0, [H, W, 2] (m).
         texture: relative brightness, as :func:`grain` returns it, its middle at the origin.
-        gradient: light lost from the middle of the board to its end at -x, and won at +x.
-        vignetting: light lost from the picture's middle to its corners.
+        gradient: loss of light from the middle of the board to its end at -x, and gain to +x.
+        vignetting: loss of light from the picture's middle to its corners.
         board: the board.
 
     Returns:
-        The picture, float32 [H, W, 3], and the light that it stands in, float32 [H, W].
+        The picture, float32 [H, W, 3], and its light, float32 [H, W].
     """
     half = 0.5 * board.length, 0.5 * board.width
     line = board.line_inset, board.line_width
@@ -173,7 +173,7 @@ def print_line(picture, light, plane, points, line_width, ink):
 
     Args:
         picture: float32 [H, W, 3], changed.
-        light: that the picture stands in, float32 [H, W].
+        light: of the picture, float32 [H, W].
         plane: board coordinates of every pixel's centre at height 0, [H, W, 2] (m).
         points: of the line, [N, 2] (m).
         line_width: m.
@@ -193,10 +193,10 @@ def print_line(picture, light, plane, points, line_width, ink):
 
 
 def paint_place(picture, light, plane, place: Place) -> None:
-    """Paint the lines, walls and obstacles of a place on the ground, in place; all lie flat.
+    """Paint the lines, walls and obstacles of a place on the ground, in place; all are flat.
 
     Args:
-        picture, light, plane: as of :func:`print_line`.
+        picture, light, plane: as in :func:`print_line`.
         place: the place.
     """
     for line in place.lines:
@@ -215,14 +215,14 @@ def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """Return the tag of a robot in the form for :func:`paint_robot`.
 
     Args:
-        markers: as recording.json has them, with a ``tag``.
+        markers: in the form of recording.json, with a ``tag``.
 
     Returns:
         Its cells with the white around them, [N, N], 0 black, 1 white; and its plate: the centre
         (m, robot frame), cosine and sine of the angle of its upper edge, and its side (m).
 
     Raises:
-        UserError: if it is not on the robot.
+        UserError: if it does not fit on the robot.
     """
     tag = sought(markers)
     ends = np.array([[markers[which][axis] for axis in "xy"] for which in ("front", "rear")], float)
@@ -232,7 +232,7 @@ def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     plate = side * len(cells) / len(tag.cells)
     cos, sin = ahead / side
     reach = 0.5 * plate * (abs(cos) + abs(sin))
-    # It may be wider than the body, as its wheels and its sensors are.
+    # It may be wider than the body, like the wheels and the sensors.
     along = _BODY[0] <= x - reach and x + reach <= _BODY[1]
     inside = along and abs(y) + reach <= _SENSOR_ARM[3]
     if not inside:
@@ -316,7 +316,7 @@ def _near_body(x, y, margin):
 
 @_painted
 def _blend(under, over, fraction):
-    """Return the colour of a sample that something covers by ``fraction``."""
+    """Return the colour of a sample of which a fraction is covered."""
     return (
         under[0] + fraction * (over[0] - under[0]),
         under[1] + fraction * (over[1] - under[1]),
@@ -331,7 +331,7 @@ def _lit(colour, light):
 
 @_painted
 def _on_tag(x, y, breadth, cells, plate):
-    """Return how much of a sample is white, and how much of it the plate covers."""
+    """Return the white fraction of a sample, and the fraction that the plate covers."""
     count = cells.shape[0]
     px, py = x - plate[0], y - plate[1]
     up, left = plate[2] * px + plate[3] * py, plate[2] * py - plate[3] * px

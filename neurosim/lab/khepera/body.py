@@ -1,4 +1,4 @@
-"""The virtual Khepera's hardware, as its firmware sees it, and the lab it stands in."""
+"""The virtual Khepera's hardware, as its firmware sees it, and its lab."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class KheperaBody:
         params: the robot.
         place: the place around it.
         seed: of every random draw.
-        pose: where it stands (m, m, rad).
+        pose: its first pose (m, m, rad).
     """
 
     def __init__(
@@ -66,15 +66,15 @@ class KheperaBody:
 
     @property
     def touches(self) -> int:
-        """Ticks of the physics in which it touched something so far."""
+        """Number of ticks of the physics so far in which it touched something."""
         return int(self.state[S.TOUCHES])
 
     def depth(self, x: float, y: float) -> float:
-        """Return how deep it would stand in something at (x, y), m; below 0 where it is free."""
+        """Return its depth in a surface at (x, y), m; below 0 where it is free."""
         return float(physics.penetration(x, y, self._walls, self._cylinders))
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Pick the robot up and put it down at a pose (m, m, rad)."""
+        """Lift the robot and place it at a pose (m, m, rad)."""
         self.state[S.X : S.X + 3] = x, y, theta
         self.state[S.SCAN : S.SCAN + 3] = x, y, theta
 
@@ -143,8 +143,8 @@ class KheperaBody:
     def ambient(self) -> list[int]:
         """Return the ambient light, 8 numbers of 0..1023, fewer for more light.
 
-        A light :data:`HALVED` straight ahead of a sensor halves its number. It falls with the
-        square of the distance and the cosine of the angle; what stands between casts a shadow.
+        A light :data:`HALVED` straight ahead of a sensor halves its number. The light falls with
+        the square of the distance and the cosine of the angle; objects in between cast shadows.
         """
         x, y, theta = self.state[S.SCAN : S.SCAN + 3]
         looks = theta + self.params.angle
@@ -166,19 +166,19 @@ class KheperaBody:
 
 
 class KheperaLab(LabTime):
-    """A place with a Khepera in it, in a time that moves only when asked to.
+    """A place with a Khepera in it; its time advances only on request.
 
     Args:
         params: the robot.
         place: the place around it.
         seed: of every random draw.
-        start: where it stands at first (m, m, rad).
+        start: its first pose (m, m, rad).
 
     Attributes:
-        camera: one above it, or None.
+        camera: a camera above it, or None.
 
     Raises:
-        UserError: if it cannot stand there.
+        UserError: if the start is not free.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class KheperaLab(LabTime):
             return self.body.pose
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Put the robot down at a pose (m, m, rad).
+        """Place the robot at a pose (m, m, rad).
 
         Raises:
             UserError: if it would stand in a wall or an obstacle there.
@@ -219,7 +219,7 @@ class KheperaLab(LabTime):
             self.body.place(x, y, theta)
 
     def _advance(self, time: float) -> None:
-        # Pictures that fall due on the way are delivered to whoever started the camera.
+        # Pictures that become due meanwhile go to the object that started the camera.
         while self.camera is not None and self.camera.due <= time:
             self.body.advance(self.camera.due)
             self.camera.look(self.body.pose, 0.0)

@@ -10,21 +10,21 @@ import numpy as np
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.params import CameraParams
 
-#: Size of everything that this camera sees, and of its height, over the roof camera's.
+#: Size of this camera's objects and of its height, relative to the roof camera's.
 SCALE = 0.2
 
 
 class KheperaCamera(RoofCamera):
-    """The roof camera and all that it sees, a fifth as large: 55 x 37 cm of floor.
+    """The roof camera and its view, a fifth as large: 55 x 37 cm of floor.
 
-    So the robot in its pictures is painted like the NXT, and wears its markers, as much
-    smaller (:data:`tracking.datasets.recordings.KHEPERA_MARKERS`).
+    So the robot in its pictures looks like a small NXT, with small markers
+    (:data:`tracking.datasets.recordings.KHEPERA_MARKERS`).
 
     Args:
-        params: optics, sensor and clock, as of the roof camera.
+        params: optics, sensor and clock, like the roof camera's.
         seed: of the floor's texture and all noise.
         now: returns the lab's time in seconds.
-        centre: the point that it looks at (m).
+        centre: the point at which it looks (m).
     """
 
     def __init__(
@@ -46,5 +46,5 @@ class KheperaCamera(RoofCamera):
         super().carry({**markers, **ends})
 
     def look(self, pose: np.ndarray, lamp_light: float) -> None:
-        """Take in the world at :attr:`due`; see :meth:`RoofCamera.look`."""
+        """Observe the lab at :attr:`due`; see :meth:`RoofCamera.look`."""
         super().look((pose - self._centre) / [SCALE, SCALE, 1.0], lamp_light)

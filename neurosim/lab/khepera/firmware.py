@@ -3,13 +3,13 @@
 After K-Team's Khepera User Manual 5.02 (1999), appendix A, "Communication protocol": a command is
 an upper-case letter, numbers behind commas, and CR or LF; the answer is the letter in lower case,
 numbers behind commas, CR LF. Unknown commands are answered by ``z,Command not found``, wrong
-numbers by ``z,Protocol error``; the manual does not spell these two, they are what clients of the
-real robot expect. ``restart`` restarts the robot.
+numbers by ``z,Protocol error``; the manual does not have these two, but clients of the real robot
+expect them. ``restart`` restarts the robot.
 
-The version of the protocol says that the robot is virtual, so that its clients know it.
+The version of the protocol tells clients that the robot is virtual.
 
-Not modelled: the constants of the controllers (A, F) and the acceleration (J) are taken and have
-no effect; nothing is plugged into the extension bus, the converter's inputs or the turret's place.
+Not modelled: the constants of the controllers (A, F) and the acceleration (J) are accepted and have
+no effect; the extension bus, the converter's inputs and the turret's socket are empty.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BANNER = (
 )
 BIOS, PROTOCOL = "5.02", f"5.02-{VIRTUAL}"
 NOT_FOUND, WRONG = b"z,Command not found\r\n", b"z,Protocol error\r\n"
-#: A longer line is no command; the rest of it is dropped.
+#: Longest command, in bytes; the rest of a longer line is dropped.
 LONGEST = 80
 LARGEST_SPEED, LARGEST_PWM = 127, 255
 LARGEST_COUNT = 2**31
@@ -68,11 +68,11 @@ class Hardware(Protocol):
 
 
 class KheperaFirmware:
-    """Takes bytes, moves a body, gives bytes.
+    """Takes bytes, moves a body, and answers with bytes.
 
     Args:
         hardware: the body.
-        lock: held while the body is touched.
+        lock: held while the body is used.
 
     Attributes:
         leds: the two light-emitting diodes.
@@ -105,7 +105,7 @@ class KheperaFirmware:
         self._reset()
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes as they come and return the robot's answers to whole commands."""
+        """Take bytes in pieces of any size; return the robot's answers to complete commands."""
         answers = b""
         for byte in data:
             if byte in b"\r\n":

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 #: Of the body: radius and distance between the wheels (m).
 RADIUS, WHEEL_BASE = 0.0275, 0.053
-#: What the encoders give for a metre of the nominal wheel, and the speed that 1 stands for (m/s).
+#: Pulses of the encoders for a metre of the nominal wheel, and the speed of the number 1 (m/s).
 PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
-#: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
+#: Directions of the sensors, degrees counter-clockwise from straight ahead, in reading order.
 SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
-#: Fraction of infra-red light that walls and obstacles throw back, all of one white paper.
+#: Fraction of infra-red light that walls and obstacles reflect; all are of the same white paper.
 WHITE = 0.9
 
 
@@ -26,23 +26,23 @@ class KheperaParams:
     """One robot: two values are its left and its right motor, eight its sensors.
 
     Attributes:
-        gain: what a wheel turns by over what it is asked for.
+        gain: a wheel's speed over the commanded one.
         dead_band: m/s that a wheel loses to friction.
-        lag: s in which a wheel comes within 1/e of its new speed.
-        wheel: true way over the nominal way of a turn of the wheel.
-        slip: standard deviation of the way that a wheel loses on the floor, relative.
-        slip_time: s over which it changes.
+        lag: time constant of a wheel's speed, s.
+        wheel: true over nominal distance of a turn of the wheel.
+        slip: standard deviation of the distance that a wheel loses on the floor, relative.
+        slip_time: correlation time of the slip, s.
         friction: of the rim along a wall.
-        angle: where sensors sit and look, rad.
+        angle: directions of the sensors, rad.
         reach: m2; light from a white wall straight ahead, one metre away, over the light that
             makes a sensor read its full range.
-        threshold: light lost in the sensors' circuit, over the same.
+        threshold: loss of light in the sensors' circuit, relative to the same.
         offset: counts that a sensor reads without light.
         noise: standard deviation of a reading, counts.
         light_noise: of the light, relative.
         ambient: counts of ambient light; fewer are more light.
         drift: standard deviation of the ambient light's drift, counts.
-        drift_time: s over which it drifts.
+        drift_time: correlation time of the drift, s.
     """
 
     gain: NDArray[np.float64] = field(default_factory=lambda: np.ones(2))

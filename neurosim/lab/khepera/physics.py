@@ -1,8 +1,8 @@
 """Planar physics of the virtual Khepera, compiled: wheels, contact, infra-red light.
 
-State and inputs are flat arrays (:class:`S`, :class:`U`), one robot. Time goes in whole ticks, so
-that it does not matter in how many pieces somebody lets it go on. Random numbers come from a
-generator that is handed in.
+State and inputs are flat arrays (:class:`S`, :class:`U`), one robot. Time advances in whole ticks,
+so that the result does not depend on the number of calls. Random numbers come from a given
+generator.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from numba import njit
 from neurosim.lab.contact import deepest, hit
 from neurosim.lab.khepera.params import PULSES_PER_METRE, RADIUS, WHEEL_BASE
 
-#: One step of the physics, and of the scan of the sensors, which takes 8 x 2.5 ms (s).
+#: Time step of the physics, and of the scan of the sensors, which takes 8 x 2.5 ms (s).
 TICK = 0.0025
 SCAN_TICKS = 8
-#: Rays in which a sensor's cone is cast, and its half opening (rad).
+#: Number of rays of a sensor's cone, and its half opening (rad).
 RAYS, HALF_CONE = 15, math.radians(60.0)
-#: How far behind the rim a sensor's light begins (m).
+#: Distance behind the rim at which a sensor's light begins (m).
 DEPTH = 0.003
 #: Sharpness of saturation: 1 would be 1/(1+x), infinity a clip.
 KNEE = 8.0
-#: No deeper than this may the robot stand in anything (m).
+#: Largest depth of the robot in a surface (m).
 TOUCH = 1e-9
 
 
 class S(IntEnum):
-    """Places in the state; a pair of wheels is left, then right."""
+    """Indices in the state; a pair of wheels is left, then right."""
 
     TICKS = 0
     X = 1
@@ -46,7 +46,7 @@ class S(IntEnum):
 
 
 class U(IntEnum):
-    """Places in the inputs; a pair of wheels is left, then right."""
+    """Indices in the inputs; a pair of wheels is left, then right."""
 
     TARGET = 0  # m/s, or m of the encoder in position mode, two places
     POSITION = 2  # 1 in position mode, else 0, two places
@@ -73,7 +73,7 @@ def new_inputs() -> np.ndarray:
 
 @njit(cache=True)
 def _wanted(state, inputs, wheel, motor):
-    """Return the speed that a wheel's controller holds, m/s: gain, less what friction takes."""
+    """Return the speed that a wheel's controller holds, m/s: with the gain, less the friction."""
     target = inputs[U.TARGET + wheel]
     if inputs[U.POSITION + wheel] > 0.0:
         missing = target - state[S.DISTANCE + wheel]
@@ -81,7 +81,7 @@ def _wanted(state, inputs, wheel, motor):
         if abs(missing) * PULSES_PER_METRE < 1.0:
             return 0.0
         target = max(-limit, min(limit, _POSITION_GAIN * missing))
-        # Enough to move: a position controller integrates what friction takes.
+        # Enough to move: a position controller compensates friction by integration.
         return target
     loss = motor[2 + wheel]
     size = max(motor[wheel] * abs(target) - loss, 0.0)
@@ -90,14 +90,14 @@ def _wanted(state, inputs, wheel, motor):
 
 @njit(cache=True)
 def penetration(x, y, walls, cylinders):
-    """Return how deep a robot at (x, y) would stand in something, m; below 0 where it is free."""
+    """Return the depth in a surface of a robot at (x, y), m; below 0 where it is free."""
     depth, _, _ = deepest(x, y, RADIUS, walls, cylinders)
     return depth
 
 
 @njit(cache=True)
 def _settle(state, old_x, old_y, walls, cylinders, friction):
-    """Push a robot out of what it ran into; along the surface, friction holds it back."""
+    """Push a robot out of a surface; along the surface, friction holds it back."""
     touched = False
     for _ in range(6):
         depth, nx, ny = deepest(state[S.X], state[S.Y], RADIUS, walls, cylinders)
@@ -126,7 +126,7 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
         motor: :meth:`KheperaParams.motor_row`.
         walls: [W, 4] m.
         cylinders: [N, 3] m.
-        rng: generator of all that is drawn.
+        rng: generator of all random numbers.
         until: whole ticks since the beginning.
     """
     slip, slip_time, friction = motor[8], motor[9], motor[10]
@@ -175,12 +175,12 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
 def reflected(pose, angle, walls, cylinders):
     """Return the light (1/m2) that comes back to a sensor at ``angle`` (rad) on the rim.
 
-    The emitter's cone is cast in rays. A surface that light meets under the angle of incidence
-    i throws it back by Lambert's law: what comes back to the receiver falls with cos i and with
-    the square of the way. Emitter and receiver each have a lobe of cos^2, so that a ray at the
+    The emitter's cone is cast in rays. A surface that light meets at the angle of incidence i
+    reflects it by Lambert's law: the light at the receiver falls with cos i and with the square of
+    the distance. Emitter and receiver each have a lobe of cos^2, so that a ray at the
     angle a from the axis counts cos^4 a; the weights sum up to 1 over the cone. A large wall
-    straight ahead at the distance d gives a bit less than 1/d^2; something small gives less
-    because it fills less of the cone.
+    straight ahead at the distance d gives a bit less than 1/d^2; a small object gives less, because
+    it fills less of the cone.
     """
     direction = pose[2] + angle
     cos, sin = math.cos(direction), math.sin(direction)
@@ -212,13 +212,13 @@ def proximity(pose, angles, reach, threshold, offset, noises, drift, walls, cyli
     """Return the sensors' readings, [8] int 0..1023.
 
     Args:
-        pose: [3], where the robot was when they were scanned.
+        pose: [3] of the robot during the scan.
         angles: [8] rad.
         reach: [8] m2.
         threshold: [8].
         offset: [8] counts.
         noises: (counts, relative) standard deviations.
-        drift: of ambient light, counts; it shifts the threshold by as much over full range.
+        drift: of ambient light, counts; it shifts the threshold in proportion to the full range.
         walls: [W, 4] m.
         cylinders: [N, 3] m.
         albedo: of all of them.

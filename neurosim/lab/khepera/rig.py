@@ -18,7 +18,7 @@ from neurosim.lab.server import Served
 from neurosim.robots.khepera.driver import Khepera
 from neurosim.simulators.tables.sensor_table import LIGHT, OBJECTS, WALL, radius_of
 
-#: Where the robot stands at first in the paper's arena (m, m, rad).
+#: First pose of the robot in the paper's arena (m, m, rad).
 START = (-0.22, 0.0, 0.0)
 #: Bits that a byte takes on the line: a start bit, 8 data bits, 2 stop bits.
 BITS = 11
@@ -28,10 +28,10 @@ def sampling_places(
     kinds: Sequence[str] = OBJECTS,
     radius: float = RADIUS,
 ) -> tuple[Place, dict[str, tuple[float, float, float]]]:
-    """Return a lab to sample in, and where the robot is placed there (m, m, rad).
+    """Return a lab for sampling, and the robot's poses in it (m, m, rad).
 
-    It faces an object of each kind, a long wall, round obstacles or a light, and all but touches
-    it; ``open`` is open floor.
+    It faces an object of each kind, a long wall, round obstacles or a light, and almost touches it;
+    ``open`` is open floor.
 
     Args:
         kinds: names of the kinds, see :mod:`neurosim.simulators.tables.sensor_table`.
@@ -58,15 +58,15 @@ class VirtualKheperaRig(Served):
         robot_seed: which robot; the same number has the same motors and sensors.
         noise_seed: of everything that differs from one session to the next.
         place: the objects in the lab; by default the arena of Lund and Miglino 1996.
-        start: where the robot stands at first (m, m, rad).
-        device: ``pty``, ``socket``, or None for whichever the system has.
+        start: first pose of the robot (m, m, rad).
+        device: ``pty``, ``socket``, or None for the one that the system has.
         port: of the socket; 0 for any free one.
-        baud: of the line; it takes its time.
-        real_time: the lab's time will be the wall clock's (see
+        baud: speed of the line, bits a second.
+        real_time: whether the lab's time is the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
-        params: a robot in place of the drawn one.
-        camera: a camera above the place where the robot stands at first, in the terms of the
-            roof camera (see :class:`neurosim.lab.khepera.camera.KheperaCamera`); none by default.
+        params: a robot that replaces the random one.
+        camera: a camera above the robot's start, in the terms of the roof camera (see
+            :class:`neurosim.lab.khepera.camera.KheperaCamera`); none by default.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -102,7 +102,7 @@ class VirtualKheperaRig(Served):
                 camera, robot_seed, self.lab.clock.now, (start[0], start[1])
             )
         self.camera = self.lab.camera
-        # Compiled before anybody waits for an answer.
+        # Compiled before a client waits for an answer.
         self.lab.body.proximity()
         self.lab.body.advance(0.01)
         self.firmware = KheperaFirmware(self.lab.body, lock=self.lab.lock)
@@ -113,11 +113,11 @@ class VirtualKheperaRig(Served):
         self.robot = Khepera(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings that make the same lab again."""
+        """Return settings from which the same lab can be made again."""
         return dict(self._seeds)
 
     def reboot(self) -> None:
-        """Press the robot's reset button: it says its banner, in the middle of whatever goes on."""
+        """Press the robot's reset button: it sends its banner at once."""
         self._server.say(self.firmware.reboot())
 
     def switch_off(self) -> None:

@@ -24,7 +24,7 @@ class TwoWheels:
     """The virtual NXT's motors, light sensors, lamp and battery behind other electronics.
 
     Args:
-        body: in the lab.
+        body: the body in the lab.
     """
 
     def __init__(self, body: NxtBody):
@@ -62,7 +62,7 @@ class TwoWheels:
         return self.body.time
 
     def move(self, command: tuple[float, ...]) -> None:
-        """Set both wheels, percent; the body takes whole ones."""
+        """Set both wheels, in percent, rounded to whole numbers."""
         for port, value in zip(self._wheels, command, strict=True):
             self.body.set_output(port, round(value), _HELD, _SPEED_REGULATION, 0, _RUNNING, 0)
 

@@ -1,6 +1,6 @@
 """A virtual robot's program: the text-line protocol of docs/lines.md in front of a body.
 
-It shares nothing with those in ``firmware/``, so that each checks the others.
+It shares no code with the programs in ``firmware/``, so that each checks the others.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ class Hardware(Protocol):
 
 
 class LinesFirmware:
-    """Takes bytes, moves a body, gives bytes.
+    """Takes bytes, moves a body, and answers with bytes.
 
     Args:
         hardware: the body.
         greeting: the robot's description of itself.
-        lock: held while the body is touched.
+        lock: held while the body is used.
 
     Attributes:
-        ends: when the command that runs is over, s of the body's time; infinity: none runs. Who
-            moves the time calls :meth:`end` then.
+        ends: end of the running command, s of the body's time; infinity: no command runs. The
+            object that advances the time calls :meth:`end` then.
     """
 
     def __init__(self, hardware: Hardware, greeting: Greeting, lock: AbstractContextManager):
@@ -57,7 +57,7 @@ class LinesFirmware:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes as they come and return the robot's answers to whole lines."""
+        """Take bytes in pieces of any size; return the robot's answers to complete lines."""
         answers = b""
         for byte in data:
             if byte in b"\r\n":
@@ -74,7 +74,7 @@ class LinesFirmware:
         return answers
 
     def end(self) -> None:
-        """Stop, because the command is over."""
+        """Stop, because the command has ended."""
         self.ends = math.inf
         self.hardware.halt()
 
@@ -119,7 +119,7 @@ class LinesFirmware:
         return self._say(number, f"ok {self._now()}")
 
     def _drive(self, words: list[str]) -> bool:
-        """Carry out a command; return whether it is one."""
+        """Carry out a command; return whether it was valid."""
         try:
             milliseconds, command = int(words[0]), tuple(map(float, words[1:]))
         except (ValueError, IndexError):

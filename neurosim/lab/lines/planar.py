@@ -1,8 +1,8 @@
-"""A model car and an omnidirectional base in the lab: each number of a command has its own drive.
+"""A model car and an omnidirectional base in the lab; each number of a command has its own drive.
 
-No learner reads this. A drive answers with a gain, a dead band and a lag of its own, a steering
-servo no faster than it can turn; the car understeers at speed, the base slips more to its sides
-than forward and turns a little as it drives. The slip of each command is drawn again.
+No learner reads this. Each drive has its own gain, dead band and lag; a steering servo has a
+largest speed. The car understeers at speed. The base slips more to its sides than forward, and
+turns a little as it drives. The slip of each command is drawn again.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from neurosim.robots.lines.protocol import Counter, Greeting
 
 #: Longest integration step, s.
 STEP = 0.002
-#: What is slower than this and is to stand stands, m/s and rad/s.
+#: Below this speed a stopping drive stands, m/s and rad/s.
 STANDS = 0.003
 #: A wheel's counter.
 PER_METRE = 2000.0
 WHEELBASE = 0.14
-#: What there is, and what it takes.
+#: The kinds of bodies, and their commands.
 KINDS: dict[str, Commands] = {
     "car": Commands(
         (Number("speed", "m/s", -0.3, 0.4), Number("steer", "rad", -0.45, 0.45, speed=False)),
@@ -53,14 +53,14 @@ SLIP = 0.008
 
 @njit(cache=True)
 def _advance(state, given, drives, car, bends, slip, until):
-    """Drive on to a time.
+    """Advance to a time.
 
     Args:
         state: [7] time, x, y, heading, and the speeds that three drives have reached; changed.
         given: [3] the commanded speed of each drive.
         drives: [3, 5] see ``_DRIVES``.
         car: whether the second is a steering angle.
-        bends: of a car its understeer (s^2/m^2), of a base its turn per metre sideways.
+        bends: the understeer of a car (s^2/m^2), or the turn of a base per metre sideways.
         slip: [3] factors of the twist.
         until: s.
     """
@@ -95,12 +95,12 @@ class PlanarBody:
 
     Args:
         kind: a key of :data:`KINDS`.
-        robot_seed: which robot: the same number is the same one.
+        robot_seed: number of the robot; the same number gives the same robot.
         seed: of its slip.
 
     Attributes:
         greeting: its description. The car has a counter and no lamp, the base a lamp.
-        driven_at: when it was first commanded to move, s, or None.
+        driven_at: time of the first command to move, s, or None.
     """
 
     def __init__(self, kind: str, robot_seed: int, seed: int):
@@ -124,7 +124,7 @@ class PlanarBody:
             lamp=not self._car,
             virtual=True,
         )
-        # Compiled before anybody waits for an answer.
+        # Compiled before a client waits for an answer.
         copy = self._state.copy()
         _advance(copy, self._given, self._drives, self._car, self._bends, self._slip, STEP)
 
@@ -140,19 +140,19 @@ class PlanarBody:
 
     @property
     def voltage(self) -> float:
-        """The battery's voltage, V: that of a full one."""
+        """The battery's voltage, V: always that of a full one."""
         return 8.0
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Put it down at a pose (m, m, rad)."""
+        """Place the robot at a pose (m, m, rad)."""
         self._state[1:4] = x, y, theta
 
     def shove(self, x: float, y: float) -> None:
-        """Push it aside by so much, m."""
+        """Push the robot aside by these distances, m."""
         self._state[1:3] += x, y
 
     def advance(self, until: float) -> None:
-        """Drive on to a time, s; earlier ones change nothing."""
+        """Advance to a time, s; earlier times change nothing."""
         before = self._state[1:3].copy()
         given, slip = self._given, self._slip
         _advance(self._state, given, self._drives, self._car, self._bends, slip, until)
@@ -161,7 +161,7 @@ class PlanarBody:
         self._distance += float(moved @ (math.cos(heading), math.sin(heading)))
 
     def lamp_light(self) -> float:
-        """Return the lamp's light summed over time until now, in seconds of full brightness."""
+        """Return the integral of the lamp's brightness so far, in seconds of full brightness."""
         return self._lamp.sum(self.time)
 
     def move(self, command: tuple[float, ...]) -> None:
@@ -172,16 +172,16 @@ class PlanarBody:
         self._slip = 1.0 + SLIP * self._rng.standard_normal(3)
 
     def halt(self) -> None:
-        """Stop; the car's wheels stay as they are steered."""
+        """Stop; the car keeps its steering angle."""
         held = self._given[1] if self._car else 0.0
         self._given[:] = 0.0, held, 0.0
 
     def reached(self) -> tuple[float, float]:
-        """Return the speed forward, m/s, and the turn rate of a base, rad/s, as they are now."""
+        """Return the present forward speed, m/s, and the turn rate of a base, rad/s."""
         return float(self._state[4]), float(self._state[6])
 
     def values(self) -> list[int]:
-        """Return the counter's pulses, where there is one."""
+        """Return the counter's pulses, if there is a counter."""
         return [math.floor(PER_METRE * self._distance)] if self._car else []
 
     def lamp(self, on: bool) -> None:

@@ -13,25 +13,25 @@ from neurosim.lab.lines.planar import KINDS, PlanarBody
 from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.robots.lines.driver import BAUD, Lines
 
-#: The robots that there are.
+#: The kinds of robots.
 LINES_ROBOTS = ("wheels", *KINDS)
 #: Bits that a byte takes on the line: a start bit, 8 data bits, a stop bit.
 BITS = 10
 
 
 class VirtualLinesRig(BoardRig):
-    """A robot of the virtual lab that says what it is, behind its line.
+    """A robot of the virtual lab that describes itself, behind its line.
 
     Args:
-        robot_seed: which robot and which board; the same number is the same robot.
+        robot_seed: number of robot and board; the same number gives the same robot.
         kind: wheels for the virtual NXT's motors and sensors, car, or omni for a base that drives
             in any direction.
-        device: ``pty``, ``socket``, or None for whichever the system has.
+        device: ``pty``, ``socket``, or None for the one that the system has.
         port: of the socket; 0 for any free one.
-        baud: of the line; it takes its time.
-        real_time: the lab's time will be the wall clock's (see
+        baud: speed of the line, bits a second.
+        real_time: whether the lab's time is the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
-        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
+        **board: see :class:`neurosim.lab.rig.OnBoard`.
 
     Attributes:
         lab: the lab itself; no learner looks into it.

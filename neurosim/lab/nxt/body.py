@@ -1,8 +1,8 @@
 """The virtual NXT's hardware: three outputs, four inputs, a battery, on top of the physics.
 
-This is what a brick's firmware sees. Everything happens at the body's own time, which
-:class:`neurosim.lab.nxt.world.Lab` moves. Mode, regulation and run state are the numbers of LEGO's
-Direct Commands (LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2).
+It is the interface for a brick's firmware. All calls take effect at the body's own time, which
+:class:`neurosim.lab.nxt.world.Lab` advances. Mode, regulation and run state are the numbers of
+LEGO's Direct Commands (LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 2).
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ class InputValues(NamedTuple):
 
 
 def ground_light(x: float, y: float, spot: float, around: Place = Place()) -> float:  # noqa: B008
-    """Return the light (0..1) that the ground at (x, y) throws back to a sensor close to it.
+    """Return the light (0..1) that the ground at (x, y) reflects to a sensor close to it.
 
-    Edges are blurred by the round spot that the sensor sees, as a linear ramp.
+    Edges are blurred by the sensor's round spot, as a linear ramp.
 
     Args:
         x, y: m, board frame.
@@ -100,9 +100,9 @@ class NxtBody:
     Args:
         params: the robot.
         seed: of every random draw.
-        pose: where it stands (m, m, rad, board frame).
+        pose: its first pose (m, m, rad, board frame).
         wiring: the wiring.
-        around: the place that it drives in.
+        around: the place around it.
     """
 
     def __init__(
@@ -123,15 +123,15 @@ class NxtBody:
         self._rng = np.random.default_rng([seed, 0x5E45])
         self._outputs = [Output() for _ in range(3)]
         self._zeros = [[0.0, 0.0] for _ in range(3)]  # block and rotation, degrees
-        self._ends = [0.0, 0.0]  # where the last limit of a wheel would have ended, degrees
+        self._ends = [0.0, 0.0]  # end of a wheel's last limit, degrees
         self._types = [(0, 0)] * 4
         self._lamp = Lamp(params.lamp_lag)
-        #: When a wheel was first told to turn, s; None: none was.
+        #: Time of the first command that turns a wheel, s; None: there was none.
         self.driven_at: float | None = None
         self._compile()
 
     def _compile(self) -> None:
-        """Have the physics compiled, on copies, before anybody waits for the brick's answer."""
+        """Compile the physics, on copies, before a client waits for the brick's answer."""
         state, coefficients = self.state.copy(), self._coefficients
         physics.begin_command(state, 0, coefficients)
         physics.advance(state, self._inputs.copy(), coefficients, self._field, 2 * physics.STEP)
@@ -152,11 +152,11 @@ class NxtBody:
         return float(self.state[S.VOLTAGE])
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Pick the robot up and put it down at a pose (m, m, rad, board frame)."""
+        """Lift the robot and place it at a pose (m, m, rad, board frame)."""
         self.state[S.X], self.state[S.Y], self.state[S.THETA] = x, y, theta
 
     def shove(self, x: float, y: float) -> None:
-        """Push the robot aside by so much (m, board frame), its wheels skidding."""
+        """Push the robot aside by these distances (m, board frame), with skidding wheels."""
         self.state[S.X] += x
         self.state[S.Y] += y
 
@@ -169,7 +169,7 @@ class NxtBody:
             if wheel < 0:
                 return
             output = self._outputs[self._port_of(wheel)]
-            # As in the firmware (dOutputMotorIdleControl), what has turned as far as it was to
+            # As in the firmware (dOutputMotorIdleControl), a motor that has reached its limit
             # coasts.
             output.run_state = RUN_STATE_IDLE
             self._inputs[U.MODE + wheel] = physics.COAST
@@ -190,14 +190,14 @@ class NxtBody:
 
         Args:
             port: 0..2.
-            power: percent, -100..100; what lies beyond is clipped.
+            power: percent; clipped to -100..100.
             mode: sum of motor on (1), brake (2), regulated (4).
             regulation: 0 idle, 1 speed, 2 synchronised.
             turn_ratio: kept, without effect.
             run_state: 0 idle; anything else runs.
             tacho_limit: degrees to turn before the output goes idle; 0 for ever. As in LEGO's
-                firmware (dOutputSetTachoLimit of d_output.c) they count from where the last limit
-                would have ended; what runs without a limit takes that place along.
+                firmware (dOutputSetTachoLimit of d_output.c) they count from the end of the last
+                limit; a motor that runs without a limit moves this end along.
         """
         output = self._outputs[port]
         ran = output.run_state != RUN_STATE_IDLE and bool(output.mode & MODE_ON)
@@ -235,7 +235,7 @@ class NxtBody:
         physics.begin_command(self.state, wheel, self._coefficients)
 
     def output(self, port: int) -> Output:
-        """Return an output's settings and counters now, to look at."""
+        """Return an output's present settings and counters."""
         output = self._outputs[port]
         degrees = self._degrees(port)
         block, rotation = self._zeros[port]
@@ -280,7 +280,7 @@ class NxtBody:
         return round(1000.0 * self.voltage + 8.0 * self._rng.standard_normal())
 
     def lamp_light(self) -> float:
-        """Return the lamp's light summed over time until now, in seconds of full brightness."""
+        """Return the integral of the lamp's brightness so far, in seconds of full brightness."""
         return self._lamp.sum(self.time)
 
     def _wheel_at(self, port: int) -> int | None:
@@ -309,13 +309,13 @@ class Lamp:
         self._since = self._level = self._target = self._sum = 0.0
 
     def switch(self, time: float) -> None:
-        """Take on the levels set, from ``time`` on."""
+        """Use the new levels from ``time`` on."""
         self._sum = self.sum(time)
         self._level = self._target + (self._level - self._target) * self._decay(time)
         self._since, self._target = time, max(self.port_level, self.sensor_level)
 
     def sum(self, time: float) -> float:
-        """Return the integral of brightness (0..1) until ``time``, in seconds."""
+        """Return the integral of brightness (0..1) up to ``time``, in seconds."""
         gap = self._level - self._target
         steady = self._target * (time - self._since)
         return self._sum + steady + gap * self._lag * (1.0 - self._decay(time))

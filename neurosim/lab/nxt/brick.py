@@ -1,8 +1,8 @@
 """A virtual NXT brick: LEGO's telegrams on one side, a robot's body on the other.
 
 The telegrams are those of LEGO MINDSTORMS NXT Bluetooth Developer Kit, appendix 1
-("Communication protocol") and appendix 2 ("Direct commands"); where the appendices are
-silent, the brick answers as LEGO's firmware 1.31 does. There are no programs, no files (the
+("Communication protocol") and appendix 2 ("Direct commands"); in cases that the appendices do not
+cover, the brick answers like LEGO's firmware 1.31. There are no programs, no files (the
 flash is full) and no I2C devices on it.
 """
 
@@ -54,7 +54,7 @@ I2C_SIZE = 16
 
 
 class Output(Protocol):
-    """One motor port: what was last set on it, and its three counters in degrees."""
+    """One motor port: its last settings, and its three counters in degrees."""
 
     power: int
     mode: int
@@ -95,7 +95,7 @@ class Hardware(Protocol):
         ...
 
     def set_input(self, port: int, type: int, mode: int) -> None:
-        """Tell the body what a sensor port (0 to 3) is now used as; it lights the lamps."""
+        """Set the use of a sensor port (0 to 3), which also switches the sensor's lamp."""
         ...
 
     def input(self, port: int) -> tuple[bool, int, int, int]:
@@ -122,7 +122,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class _Command:
-    """How one opcode is answered: the lengths its body may have, and by which function."""
+    """How an opcode is answered: the possible lengths of its body, and the function."""
 
     answer: Callable[[VirtualBrick, bytes], bytes]
     lengths: range
@@ -135,8 +135,8 @@ class VirtualBrick:
     Args:
         hardware: the body.
         name: the brick's name, up to 14 ASCII characters.
-        address: its Bluetooth address; by default one by which drivers know a virtual brick.
-        lock: held while a telegram is carried out; the lab hands in its own.
+        address: its Bluetooth address; by default the one that marks a virtual brick.
+        lock: held while a telegram is carried out; the lab gives its own.
     """
 
     protocol_version = (1, 124)
@@ -161,9 +161,10 @@ class VirtualBrick:
         self._i2c_failed = [False] * INPUTS
 
     def handle(self, telegram: bytes) -> bytes | None:
-        """Carry out one telegram; return the reply, or None where none is due.
+        """Carry out one telegram; return the reply, or None if there is no reply.
 
-        Never raises for what is in a telegram: an unknown opcode is answered by status 0xBE,
+        The content of a telegram never raises an error: an unknown opcode is answered by status
+            0xBE,
         a body of the wrong length by 0xBF, a value out of range by 0xC0. Telegrams that are not
         commands (a reply, an unknown type, fewer than two bytes) are ignored.
         """
@@ -236,7 +237,7 @@ class VirtualBrick:
     def _set_input_mode(self, body: bytes) -> bytes:
         port, type_, mode = body
         _require(port < INPUTS and type_ <= LAST_TYPE)
-        # The body is sampled when it is asked for, so nothing could be counted in between.
+        # The body is sampled on request, so events in between cannot be counted.
         _require(mode & MODE_MASK in (RAW, BOOLEAN, PERCENT, CELSIUS, FAHRENHEIT))
         self._i2c_failed[port] = False
         self.hardware.set_input(port, type_, mode)
@@ -364,7 +365,7 @@ def _require(in_range: bool) -> None:
 
 
 def _int32(count: float) -> int:
-    """Return a counter as the firmware's 32-bit one, which wraps."""
+    """Return a counter as a 32-bit number that wraps, like the firmware's."""
     return (int(count) + 2**31) % 2**32 - 2**31
 
 
@@ -373,7 +374,7 @@ def _full_scale(converter: int, zero: int, percent: int) -> int:
     return min(max(converter - zero, 0) * 100 // percent, FULL_SCALE)
 
 
-# Zero point and span in per cent of the converter's range, from the firmware's c_input.c.
+# Zero point and span in percent of the converter's range, from the firmware's c_input.c.
 _LIGHT_ZERO, _LIGHT_SPAN = 200, 68
 _SOUND_ZERO, _SOUND_SPAN = 162, 83
 _COLOUR_ZERO, _COLOUR_SPAN = 71, 93
@@ -478,8 +479,8 @@ _SYSTEM = {
 def telegram_length(head: bytes) -> int | None:
     """Return the length of the telegram that ``head`` begins with, as nxt-python sends it.
 
-    None where ``head`` is too short to tell, or the length is not in the telegram. Over TCP
-    telegrams have no frames and may arrive glued together; this is what tells them apart.
+    None if ``head`` is too short, or the length is not in the telegram. Over TCP telegrams have no
+    frames and may arrive joined together; this function separates them.
     """
     if len(head) < 2:
         return None

@@ -1,8 +1,8 @@
 """Coefficients of the virtual lab: one robot, one board, one camera.
 
-No learner reads them. They are chosen so that what cannot be predicted about a command of
-Pretorius et al. 2009, section 5.1 (its slip above all) comes to 2 or 3 mm and 1 to 2 degrees,
-and what can be (lag, dead band, unequal motors, caster) to many times that.
+No learner reads them. They are chosen so that the unpredictable part of a command of Pretorius et
+al. 2009, section 5.1 (mainly slip) is 2 or 3 mm and 1 to 2 degrees. The predictable part (lag, dead
+band, unequal motors, caster) is many times larger.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from neurosim.base.perimeter import Board
 from neurosim.base.place import Line
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 
-#: The board on the floor of a place that has none, its frame at its centre.
+#: The board of a place without one, with its frame at its centre.
 BOARD = Board()
 #: Reflected light, 0..1, as a light sensor close to it sees it: of the board, of its perimeter
 #: line, of a line that is printed on it, and of the floor around it.
@@ -26,7 +26,7 @@ BOARD_LIGHT, PERIMETER_LIGHT, PRINT_LIGHT, FLOOR_LIGHT = 0.55, 0.25, 0.2, 0.35
 
 
 def printed_fraction(line: Line, x: float, y: float, spot: float) -> float:
-    """Return the fraction of a round spot around a place that a line covers.
+    """Return the fraction of a round spot at a point that a line covers.
 
     Args:
         line: the line.
@@ -39,7 +39,7 @@ def printed_fraction(line: Line, x: float, y: float, spot: float) -> float:
 
 
 def _of_disc(depth: float) -> float:
-    """Return the fraction of a unit disc on the near side of an edge, its centre so deep inside."""
+    """Return the fraction of a unit disc inside an edge, with its centre at this depth."""
     d = min(max(depth, -1.0), 1.0)
     return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
 
@@ -72,7 +72,7 @@ class LabParams:
     dead_band_left: float = 4.3
     dead_band_right: float = 3.8
     breakaway: float = 0.6
-    #: A wheel slower than this that is told to stand, stands (rad/s).
+    #: A stopping wheel slower than this stands (rad/s).
     stop_speed: float = 0.1
 
     #: Wheel diameters and track (m).
@@ -114,7 +114,7 @@ class LabParams:
     #: The room's walls stand this far (m) beyond the board's edge.
     room: float = 0.8
 
-    #: Light sensors look down so far ahead of the axle and to either side (m).
+    #: Positions of the light sensors ahead of the axle and to either side (m).
     light_ahead: float = LIGHT_AHEAD
     light_aside: float = LIGHT_ASIDE
     #: Light sensors: noise of a reading (0..1) and the radius of the spot they see (m).
@@ -127,7 +127,7 @@ class LabParams:
 
     @classmethod
     def sampled(cls, seed: int) -> LabParams:
-        """Return a robot of the same make as no other: the one that comes with a lab's seed."""
+        """Return the robot of a lab's seed, which differs from all other robots."""
         rng = np.random.default_rng([seed, 0x0B0D])
         typical = cls()
         asymmetry = rng.normal(0.0, 0.008)
@@ -152,7 +152,7 @@ class LabParams:
 
     @classmethod
     def ideal(cls) -> LabParams:
-        """Return a perfect unicycle behind its motors' lag, for checks by hand."""
+        """Return a perfect unicycle with lagging motors, for checks by hand."""
         off = dict.fromkeys(_IMPERFECTIONS, 0.0)
         return replace(
             cls(),

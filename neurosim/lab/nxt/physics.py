@@ -2,8 +2,8 @@
 
 One robot is a flat float64 array of state (:class:`S`) and one of inputs (:class:`U`), so that
 a batch of robots is one more axis and a loop. Units are SI, powers are in percent, frames as
-REP 103. Random draws come from a counter-based generator whose seed and counter stand in the
-state: the same seed and the same commands give the same numbers.
+REP 103. Random draws come from a counter-based generator whose seed and counter are in the state:
+the same seed and the same commands give the same numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STEP = 0.002
 
 
 class S(IntEnum):
-    """Places in the state; a pair of wheels is left, then right."""
+    """Indices in the state; a pair of wheels is left, then right."""
 
     TIME = 0
     X = 1
@@ -42,7 +42,7 @@ class S(IntEnum):
 
 
 class U(IntEnum):
-    """Places in the inputs; a pair of wheels is left, then right."""
+    """Indices in the inputs; a pair of wheels is left, then right."""
 
     POWER = 0  # %, two places
     MODE = 2  # one of the drive modes below, two places
@@ -100,14 +100,14 @@ def _normal(state):
 
 @njit(cache=True)
 def begin_command(state, wheel, p):
-    """Draw what is new about a motor command: the wheel's slip and the caster's inclination."""
+    """Draw the random parts of a motor command: the wheel's slip and the caster's inclination."""
     state[S.SLIP + wheel] = p.slip_draw * _normal(state)
     state[S.CASTER_PUSH] = p.caster_draw * _normal(state)
 
 
 @njit(cache=True)
 def _turn_wheel(state, inputs, wheel, p, h):
-    """Bring a motor through ``h`` seconds; return its wheel's mean speed meanwhile (rad/s)."""
+    """Advance a motor by ``h`` seconds; return its wheel's mean speed meanwhile (rad/s)."""
     speed, power, mode = state[S.SPEED + wheel], inputs[U.POWER + wheel], inputs[U.MODE + wheel]
     if wheel == 0:
         gain, lag, dead_band = p.gain_left, p.lag_left, p.dead_band_left
@@ -145,10 +145,10 @@ def _turn_wheel(state, inputs, wheel, p, h):
             return 0.0
         moving = min(beyond / abs(power), h)
     after = target + (speed - target) * math.exp(-moving / lag)
-    if after != 0.0:  # broken loose, not a hair's breadth before it
+    if after != 0.0:  # free of static friction, with a margin for rounding
         state[S.PUSH + wheel] = 0.0
     if p.breakaway > 0.0 and after * speed < 0.0:
-        # On its way through zero static friction catches the wheel.
+        # Static friction stops the wheel when its speed crosses zero.
         after = 0.0
         moving = lag * math.log((target - speed) / target)
         state[S.PUSH + wheel] = abs(power) * (h - moving)
@@ -162,7 +162,7 @@ def _turn_wheel(state, inputs, wheel, p, h):
 
 @njit(cache=True)
 def _ground_slip(x, y, field, p):
-    """Return the slip of the ground at a point: the field on the board, another floor beyond."""
+    """Return the slip of the ground at a point: the field on the board, a constant beyond it."""
     if abs(x) > _HALF_LENGTH or abs(y) > _HALF_WIDTH:
         return p.slip_floor
     column, row = (x + _HALF_LENGTH) / _GRID, (y + _HALF_WIDTH) / _GRID
@@ -230,8 +230,8 @@ def advance(state, inputs, p, field, until):
     """Advance one robot to the time ``until``, in equal steps of at most :data:`STEP`.
 
     Returns:
-        The wheel (0 or 1) that has reached its limit of rotation, at whose time the state then
-        stands, or -1 when ``until`` is reached.
+        The wheel (0 or 1) that has reached its limit of rotation, at whose time the state then is,
+        or -1 when ``until`` is reached.
     """
     steps = math.ceil((until - state[S.TIME]) / STEP - 1e-9)
     if steps <= 0:
@@ -249,15 +249,15 @@ def advance(state, inputs, p, field, until):
 
 @njit(cache=True)
 def displacements(state, commands, p, field, delay=0.0):
-    """Drive regulated commands one straight into the next, without a brick or a camera.
+    """Drive a sequence of regulated commands without a brick or a camera.
 
     Args:
         state: float64 [S.SIZE], changed in place.
         commands: float64 [N, 3]: left and right power (%), duration (s).
         p: coefficients.
         field: slip field.
-        delay: from a command to its first answer, s; those given meanwhile wait their turn, and
-            before the first one the motors stand.
+        delay: from a command to its effect, s; commands given meanwhile wait, and before the first
+            one the motors stand.
 
     Returns:
         float64 [N + 1, 3]: the pose at the start and after every command.

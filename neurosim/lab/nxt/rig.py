@@ -1,8 +1,8 @@
-"""A virtual robot and its camera, put together the way real ones are.
+"""A virtual robot and its camera, connected like real ones.
 
 The robot is the real NXT driver, through the real nxt-python, over a pseudo-terminal (or a
-socket on loopback where the system has none) to the virtual brick. Only the clock is handed in:
-nobody waits for a robot that is not there.
+socket on loopback where the system has none) to the virtual brick. Only the clock is the lab's, so
+that no real time passes.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from neurosim.lab.nxt.world import Lab, Push
 from neurosim.lab.rig import BoardRig, put_down
 from neurosim.robots.nxt.driver import NXT
 
-#: On a board with a line the light sensors are mounted for following it: so far ahead of the axle
-#: and to either side (m), and how exactly that is built, which differs from robot to robot.
+#: Position of the light sensors for following a line: ahead of the axle and to either side (m), and
+#: its standard deviation between robots.
 FOLLOWING, BUILT = {"light_ahead": 0.07, "light_aside": 0.025}, 0.002
 
 
@@ -31,30 +31,30 @@ class VirtualRig(BoardRig):
     """A robot of the virtual lab, behind its line, with the roof camera over it.
 
     Args:
-        robot_seed: which robot and which board; the same number is the same robot, whose
-            motors, slip and caster are to be learned.
-        noise_seed: of everything that differs from one session to the next: where exactly the
-            robot was put, slip draws, radio delays, sensor and camera noise.
-        start: where a person tries to put the robot (m, m, rad, board frame).
+        robot_seed: number of robot and board; the same number gives the same robot, whose motors,
+            slip and caster are to be learned.
+        noise_seed: of all differences between sessions: the robot's exact start, slip, radio
+            delays, sensor and camera noise.
+        start: the pose at which a person tries to place the robot (m, m, rad, board frame).
         camera: whether there is a camera.
         camera_size: its frames, (width, height) in pixels.
         fps: frames per second.
         lamp: which lamp to use: that on motor port ``A``, ``color:3`` for the colour sensor's,
             or None.
-        device: ``pty``, ``socket``, or None for whichever the system has.
+        device: ``pty``, ``socket``, or None for the one that the system has.
         port: of the socket; 0 for any free one.
-        real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
+        real_time: whether the lab's time is the wall clock's (see :class:`Pacer`).
         changes: fields of :class:`LabParams` in which robot and ground differ from those of the
             seed, such as another floor's slip.
-        around: the place; where lines are printed on it, the robot's light sensors are mounted in
-            front, to follow them.
-        push: what pushes the robot while it drives, or None.
+        around: the place; if it has lines, the robot's light sensors are mounted in front, to
+            follow them.
+        push: a push during the drive, or None.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
         robot: the NXT driver, not connected yet.
         camera: the roof camera, or None.
-        address: how to reach the brick, as keywords of the driver.
+        address: the brick's address, as keywords of the driver.
     """
 
     def __init__(
@@ -95,13 +95,13 @@ class VirtualRig(BoardRig):
             push=push,
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
-        # A lone telegram waits for company: in the lab's own time for longer than the slowest
-        # computer needs, in real time so short that it is not felt.
+        # A single telegram waits for others: in the lab's own time for longer than the slowest
+        # computer needs, in real time too short to notice.
         patience = 0.002 if real_time else 60.0
         self.radio = Radio(self.brick, self.lab.clock, rng, patience=patience)
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
-        # What takes long here is this computer (compiling the physics, once), not the brick.
+        # This computer is slow here (it compiles the physics once), not the brick.
         lights = FOLLOWING if around.lines else {}
         self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **lights, **self.address)
         self.robot.alone = False
@@ -109,7 +109,7 @@ class VirtualRig(BoardRig):
 
 
 def _following(robot_seed: int) -> dict[str, float]:
-    """Return where a robot's light sensors are that was built to follow a line."""
+    """Return the positions of the light sensors of a robot that was built to follow a line."""
     rng = np.random.default_rng([robot_seed, 0x11E5])
     return {name: place + BUILT * rng.standard_normal() for name, place in FOLLOWING.items()}
 

@@ -1,9 +1,9 @@
-"""The way to a virtual brick: a radio with delay, behind a pseudo-terminal or a socket.
+"""The connection to a virtual brick: a radio with delay, behind a pseudo-terminal or a socket.
 
 nxt-python reaches the first through its device-file back end and the second through its
-socket back end; neither knows that there is no brick. The time base is the lab's clock. With
-a clock that runs as fast as it is asked to, what a client does in no time at all happens in
-no time in the lab, and the same client sees the same delays on every run. With a clock that
+socket back end; neither notices that the brick is virtual. The time base is the lab's clock. With a
+clock that advances on request, a client's computation takes no time in the lab, and the same client
+sees the same delays on every run. With a clock that
 runs in real time the same classes serve any other program.
 """
 
@@ -21,9 +21,9 @@ from neurosim.lab.nxt.brick import DIRECT, NO_REPLY, SYSTEM, telegram_length
 from neurosim.lab.server import PtyEnd, Server, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 
-#: No telegram is longer (nxt-python's largest block over a serial line, and its head).
+#: Longest telegram (nxt-python's largest block over a serial line, and its head).
 LONGEST = 128
-#: A telegram of which the rest does not come within this many seconds is dropped.
+#: An incomplete telegram is dropped after this many seconds.
 REST_WITHIN = 0.5
 #: Bluetooth's shortest exchange, two slots of 625 microseconds.
 SPACING = 0.00125
@@ -33,7 +33,7 @@ class Handler(Protocol):
     """An object that answers telegrams: a :class:`neurosim.lab.nxt.brick.VirtualBrick`."""
 
     def handle(self, telegram: bytes) -> bytes | None:
-        """Carry out one telegram; return the reply, or None where none is due."""
+        """Carry out one telegram; return the reply, or None if there is no reply."""
         ...
 
 
@@ -44,24 +44,24 @@ class Radio:
     for repeated packets: mean ``delay``, standard deviation ``jitter``, never shorter than
     ``delay - jitter``.
 
-    A telegram that asks for no reply stays under way, and the clock stands, until one that
-    asks for a reply follows or ``patience`` runs out: telegrams that a client writes one
-    after the other leave at the same time, however slowly its computer runs.
+    A telegram that asks for no reply waits, and the clock stands, until one that asks for a reply
+    follows or ``patience`` runs out. So telegrams that a client writes one after the other leave at
+    the same time, even on a slow computer.
 
     Args:
         brick: the answering object.
-        clock: the lab's clock; ``sleep_until`` brings the lab to a time.
-        rng: draws the delays; may be None where ``jitter`` is 0.
+        clock: the lab's clock; ``sleep_until`` advances the lab to a time.
+        rng: draws the delays; may be None if ``jitter`` is 0.
         delay: mean delay one way, s.
         jitter: standard deviation of it, s, at most ``delay``.
-        patience: wall-clock seconds that a telegram without reply waits for company. Use a
+        patience: wall-clock seconds that a telegram without reply waits for others. Use a
             few milliseconds with a clock that runs in real time.
 
     Attributes:
-        silent: True once the brick no longer hears anything. Set it to switch the brick off.
-        silent_at: the lab time at which it falls silent, or None.
-        silent_after: how many telegrams it hears before it falls silent, or None.
-        telegrams: how many were sent to it so far.
+        silent: True if the brick no longer receives anything. Set it to switch the brick off.
+        silent_at: the lab time from which it is silent, or None.
+        silent_after: number of telegrams after which it is silent, or None.
+        telegrams: number of telegrams sent to it so far.
     """
 
     def __init__(
@@ -93,11 +93,11 @@ class Radio:
 
     @property
     def waiting(self) -> bool:
-        """Whether telegrams without reply are under way."""
+        """Whether telegrams without reply are waiting."""
         return bool(self._under_way)
 
     def deliver(self, telegram: bytes) -> bytes | None:
-        """Send one telegram; return its reply once the clock has reached its arrival."""
+        """Send one telegram; return its reply after the clock has reached its arrival."""
         with self._lock:
             self._last_up = self._arrival(self._last_up)
             self._under_way.append((self._last_up, telegram))
@@ -111,7 +111,7 @@ class Radio:
             return reply
 
     def settle(self) -> None:
-        """Let all that is under way arrive."""
+        """Deliver all waiting telegrams."""
         with self._lock:
             self._arrive()
 
@@ -145,7 +145,7 @@ class _RadioServer(Server):
     radio: Radio
 
     def _wait_or_settle(self, readable: int | socket.socket, rest_due: bool) -> bool:
-        """Wait for more; meanwhile what is under way arrives. False when nothing came."""
+        """Wait for more bytes, and deliver telegrams meanwhile; return False if none came."""
         if self.radio.waiting:
             if self._wait(readable, self.radio.patience):
                 return True
@@ -157,10 +157,10 @@ class PtyServer(PtyEnd, _RadioServer):
     """Serves telegrams framed by their length, as over Bluetooth's serial port, on a pty.
 
     ``path`` is the device file that a client opens. A client may close it and another open
-    it again. Bytes that make no telegram are dropped, and the line goes on.
+    it again. Bytes that are not a telegram are dropped, and the line continues.
 
     Raises:
-        RobotError: where the system has no pseudo-terminals (Windows), or none is left.
+        RobotError: if the system has no pseudo-terminals (Windows), or none is free.
     """
 
     def __init__(self, radio: Radio):
@@ -199,7 +199,7 @@ class SocketServer(SocketEnd, _RadioServer):
     ``address`` is (host, port). One client at a time; the next is served when it leaves.
 
     Args:
-        radio: where telegrams go.
+        radio: the radio for the telegrams.
         host: a loopback address.
         port: 0 for any free one.
 

@@ -1,4 +1,4 @@
-"""The virtual lab: a board, a robot and a roof camera in one time of their own."""
+"""The virtual lab: a board, a robot and a roof camera with a common time of their own."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from neurosim.lab.contact import deepest
 from neurosim.lab.nxt.body import NxtBody, Wiring
 from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
 
-#: Walls and obstacles meet a disc of this radius around the middle of a robot that has no
-#: ``radius`` of its own, m, so often, s.
+#: Radius (m) of the disc that meets walls and obstacles, if a robot has no ``radius``; and the time
+#: step (s).
 SIZE, CONTACT = 0.12, 0.01
 _TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
 
@@ -36,20 +36,20 @@ class Truth:
     voltage: np.ndarray
 
     def pose_at(self, times: np.ndarray) -> np.ndarray:
-        """Return the poses [..., 3] at given times, linear between what was kept."""
+        """Return the poses [..., 3] at given times, by linear interpolation."""
         columns = [np.interp(times, self.times, self.poses[:, i]) for i in range(3)]
         return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True)
 class Push:
-    """A hand that pushes the robot aside while it drives, whatever its wheels do.
+    """A hand that pushes the robot aside while it drives.
 
     Attributes:
-        metres: how far.
+        metres: distance of the push.
         after: delay after the first command to a wheel, s.
         direction: rad, board frame.
-        seconds: for so long, at a steady speed.
+        seconds: its duration, at a steady speed.
     """
 
     metres: float
@@ -57,7 +57,7 @@ class Push:
     direction: float
     seconds: float = 0.3
 
-    #: It moves so many times.
+    #: Number of steps of a push.
     STEPS: ClassVar[int] = 30
 
     def __post_init__(self) -> None:
@@ -66,18 +66,18 @@ class Push:
 
 
 class Program(Protocol):
-    """A robot's program that ends its commands by itself."""
+    """A robot's program that ends commands by itself."""
 
-    #: When the command that runs is over, s of the lab's time; infinity: none runs.
+    #: End of the running command, s of the lab's time; infinity: no command runs.
     ends: float
 
     def end(self) -> None:
-        """End it."""
+        """End the command."""
         ...
 
 
 class Body(Protocol):
-    """A robot's body in a time that moves when asked to; see :class:`NxtBody`."""
+    """A robot's body, whose time advances on request; see :class:`NxtBody`."""
 
     driven_at: float | None
 
@@ -97,26 +97,26 @@ class Body(Protocol):
         ...
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Put it down at a pose (m, m, rad)."""
+        """Place the robot at a pose (m, m, rad)."""
         ...
 
     def shove(self, x: float, y: float) -> None:
-        """Push it aside by so much, m."""
+        """Push the robot aside by these distances, m."""
         ...
 
     def advance(self, until: float) -> None:
-        """Drive on to a time, s."""
+        """Advance to a time, s."""
         ...
 
     def lamp_light(self) -> float:
-        """Return the lamp's light summed over time until now, in seconds of full brightness."""
+        """Return the integral of the lamp's brightness so far, in seconds of full brightness."""
         ...
 
 
 class LabTime:
-    """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
+    """A time that advances only on request, or, under a :class:`Pacer`, with the wall clock.
 
-    Hold :attr:`lock` while touching the objects in the lab.
+    Hold :attr:`lock` while you use the objects in the lab.
 
     Attributes:
         program: of a robot that ends its commands by itself, or None.
@@ -135,7 +135,7 @@ class LabTime:
         raise NotImplementedError
 
     def advance_to(self, time: float) -> None:
-        """Return once the lab's time is ``time`` (s); at once if it is already."""
+        """Wait until the lab's time is ``time`` (s); return at once if it is later."""
         with self.lock:
             while self._paced and self.time < time:
                 self._moved.wait()
@@ -146,21 +146,21 @@ class LabTime:
 
 
 class Lab(LabTime):
-    """A board with a robot on it under a camera, in a time that moves only when asked to.
+    """A board with a robot on it under a camera; its time advances only on request.
 
-    Hold :attr:`lock` while touching the body. With :class:`Pacer` the time is the wall clock's,
+    Hold :attr:`lock` while you use the body. With :class:`Pacer` the time is the wall clock's,
     and :meth:`advance_to` waits for it.
 
     Args:
-        seed: of everything drawn: the robot, the board, all noise.
+        seed: of the robot, the board and all noise.
         params: the robot and its ground; by default drawn from the seed.
         camera: the roof camera, or None for a lab without one (a hundred times faster).
-        start: where the robot stands at first (m, m, rad, board frame).
+        start: first pose of the robot (m, m, rad, board frame).
         wiring: the wiring of the brick.
         truth_rate: true poses kept per second of lab time; 0 for none.
-        around: the place: what lies and stands on the floor.
-        push: what pushes the robot, or None.
-        body: a robot in place of the NXT.
+        around: the place: lines and objects on the floor.
+        push: a push of the robot, or None.
+        body: a robot that replaces the NXT.
     """
 
     def __init__(
@@ -197,11 +197,10 @@ class Lab(LabTime):
         return self.body.time
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Put the robot down at a pose (m, m, rad, board frame).
+        """Place the robot at a pose (m, m, rad, board frame).
 
         Raises:
-            UserError: if that is beyond the room, and beyond all walls and obstacles, or it would
-                stand in one.
+            UserError: if the pose is outside of the room, or in a wall or an obstacle.
         """
         board = self.around.board or BOARD
         things = np.concatenate([self.around.surfaces.reshape(-1, 2), self.around.cylinders[:, :2]])
@@ -217,7 +216,7 @@ class Lab(LabTime):
             self.body.place(x, y, theta)
 
     def _advance(self, time: float) -> None:
-        # Frames that fall due on the way are delivered to whoever started the camera.
+        # Frames that become due meanwhile go to the object that started the camera.
         while True:
             truth_due = self._ticks / self._truth_rate if self._truth_rate > 0 else math.inf
             camera_due = math.inf if self.camera is None else self.camera.due
@@ -238,7 +237,7 @@ class Lab(LabTime):
         self._drive(time)
 
     def _drive(self, until: float) -> None:
-        """Let the robot drive; walls and obstacles push it aside, and it slides along them."""
+        """Let the robot drive; at walls and obstacles it slides along the surface."""
         if not self.around.solid:
             self.body.advance(until)
             return
@@ -254,7 +253,7 @@ class Lab(LabTime):
                 self.body.shove(depth * to_x, depth * to_y)
 
     def _push_due(self) -> float:
-        """Return when the robot is next pushed (s), infinity for never."""
+        """Return the time of the next push (s), infinity for none."""
         push, began = self._push, self.body.driven_at
         if push is None or began is None or self._pushed == push.STEPS:
             return math.inf
@@ -283,7 +282,7 @@ class Lab(LabTime):
         return Truth(rows[:, 0], rows[:, 1:4], rows[:, 4])
 
     def write_truth(self, folder: str | Path, session: int = 1) -> Path:
-        """Add what truly happened since the last call to ``truth/truth-001.csv`` in ``folder``.
+        """Add the true motion since the last call to ``truth/truth-001.csv`` in ``folder``.
 
         Columns are time, x, y, theta, voltage, as in :class:`Truth`; the number in the name is
         the session's. The first call of a lab begins a new file.
@@ -305,7 +304,7 @@ class Lab(LabTime):
 
 
 def read_truth(folder: str | Path, session: int = 1) -> Truth:
-    """Read what :meth:`Lab.write_truth` wrote next to a recording.
+    """Read the file of :meth:`Lab.write_truth` in a recording.
 
     Raises:
         FileError: if it is missing or damaged.
@@ -317,7 +316,7 @@ def read_truth(folder: str | Path, session: int = 1) -> Truth:
 
 
 class LabClock:
-    """The lab's time as a robot's clock: to sleep is to let the lab go on."""
+    """The lab's time as a robot's clock; a sleep advances the lab."""
 
     def __init__(self, lab: LabTime):
         self._lab = lab
@@ -328,14 +327,14 @@ class LabClock:
             return self._lab.time
 
     def sleep_until(self, time: float) -> None:
-        """Move the lab on to ``time`` (s)."""
+        """Advance the lab to ``time`` (s)."""
         self._lab.advance_to(time)
 
 
 class Pacer:
     """Keeps a lab's time in step with the wall clock, in a thread, while used as a context.
 
-    A lab that cannot keep up (rendering on a slow machine) falls behind and catches up later.
+    A lab that is too slow (rendering on a slow machine) is late and catches up afterwards.
     """
 
     def __init__(self, lab: LabTime, *, tick: float = 0.005):
@@ -351,7 +350,7 @@ class Pacer:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop pacing; raise what stopped the pacer before, if something did."""
+        """Stop pacing; raise the error that stopped the pacer before, if any."""
         self._end.set()
         self._thread.join()
         if self._error is not None and error[0] is None:
@@ -363,7 +362,7 @@ class Pacer:
         try:
             while not self._end.wait(self._tick):
                 with lab.lock:
-                    # A late lab moves in small pieces, so that others get at its lock.
+                    # A late lab advances in small pieces, so that others can get its lock.
                     lab._advance(min(time.perf_counter() - zero, lab.time + 10 * self._tick))
                     lab._moved.notify_all()
         except BaseException as error:

@@ -1,1 +1,1 @@
-"""A virtual base that ROS drives: its rosbridge, its controller and body, and the line to it."""
+"""A virtual base that ROS drives: its rosbridge, controller and body, and the connection."""

@@ -16,16 +16,16 @@ from neurosim.lab.ros.bridge import RosBridge, Topic
 from neurosim.robots.ros.driver import ODOMETRY, STAMPED, TWIST, VIRTUAL
 from neurosim.robots.ros.laser import SCAN
 
-#: What the base takes at most, m/s and rad/s.
+#: Largest speeds of the base, m/s and rad/s.
 MAX_V, MAX_OMEGA = 0.3, 2.0
 #: Radius of the circle around it, m.
 RADIUS = 0.11
 #: Time between two messages of odometry, s.
 EVERY = 0.05
-#: Odometry's errors of scale (standard deviation, of the way and of the turn), and its noise.
+#: Odometry's errors of scale (standard deviations, of distance and turn), and its noise.
 SCALE, NOISE = (0.01, 0.02), 0.01
-#: The laser: of so many messages of odometry one is followed by a scan; its beams, the limits of
-#: its ranges and their noise (standard deviation), m, after the LDS-01 of a TurtleBot 3.
+#: The laser: number of odometry messages for each scan; number of beams, limits of ranges and their
+#: noise (standard deviation), m, after the LDS-01 of a TurtleBot 3.
 EACH, BEAMS, RANGES, RANGE_NOISE = 4, 360, (0.12, 3.5), 0.01
 
 
@@ -33,7 +33,7 @@ class BaseBody(PlanarBody):
     """A body that is driven forward and turned.
 
     Attributes:
-        carried: whether a person has put it elsewhere since odometry was last published.
+        carried: whether a person has moved it since odometry was last published.
     """
 
     carried = False
@@ -42,7 +42,7 @@ class BaseBody(PlanarBody):
         super().__init__("omni", robot_seed, seed)
 
     def place(self, x: float, y: float, theta: float) -> None:
-        """Put it down at a pose (m, m, rad); its wheels do not turn."""
+        """Place the base at a pose (m, m, rad); its wheels do not turn."""
         super().place(x, y, theta)
         self.carried = True
 
@@ -54,13 +54,13 @@ class BaseNode:
         body: of the base.
         seed: of odometry's errors.
         stamped: whether it takes TwistStamped.
-        timeout: without a message for so long it stops, s; infinity: it goes on.
+        timeout: time without a message after which it stops, s; infinity: never.
         walls, cylinders: [W, 4] and [N, 3], objects for the laser, m.
 
     Attributes:
-        bridge: to it.
-        say: sends texts to the client; who serves the bridge sets it.
-        velocities: that the base is to have now, m/s and rad/s.
+        bridge: the bridge to it.
+        say: sends texts to the client; the server of the bridge sets it.
+        velocities: the present commanded velocities, m/s and rad/s.
         publishes: whether it publishes odometry and scans.
     """
 
@@ -90,12 +90,12 @@ class BaseNode:
         self._scale = 1 + np.array([SCALE[0], SCALE[0], SCALE[1]]) * self._rng.standard_normal(3)
         self._last, self._pose = body.pose, np.zeros(3)
         self.publishes, self._surfaces = True, (walls, cylinders)
-        # Compiled before anybody waits for a scan.
+        # Compiled before a client waits for a scan.
         distances(np.zeros((1, 2)), np.zeros(1), walls, cylinders)
 
     @property
     def ends(self) -> float:
-        """When something is due: a message of odometry, or the controller's time-out (s)."""
+        """Time of the next event: a message of odometry, or the controller's time-out (s)."""
         return min(self._tick * EVERY, self._stops)
 
     def end(self) -> None:

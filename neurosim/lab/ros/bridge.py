@@ -1,9 +1,9 @@
 """A virtual rosbridge: operations of its protocol, and the few types and nodes of a small graph.
 
 After rosbridge_suite for ROS 2 (rosbridge_library/capabilities, internal/message_conversion.py,
-internal/publishers.py) and its rosapi. It shares nothing with the driver. It logs messages that it
-rejects, as that server does; as the protocol's document has it, and other servers do, it can also
-send a ``status``.
+internal/publishers.py) and its rosapi. It shares no code with the driver. It logs messages that it
+rejects, as that server does. It can also send a ``status``, as the protocol's document says and
+other servers do.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ TYPES: dict[str, dict[str, str]] = {
         "twist": "geometry_msgs/TwistWithCovariance",
     },
 }
-#: What a field of a primitive type is without a value, and which types of JSON it takes.
+#: Default value of each primitive type, and the types of JSON that it accepts.
 _PRIMITIVES: dict[str, tuple[Any, tuple[type, ...]]] = {
     "float64": (0.0, (int, float)),
     "float32": (0.0, (int, float)),
@@ -55,7 +55,7 @@ _PRIMITIVES: dict[str, tuple[Any, tuple[type, ...]]] = {
     "string": ("", (str,)),
     "float64[36]": ([0.0] * 36, (list,)),
 }
-#: Fields of each operation: those that it must have, and those that it may have.
+#: Fields of each operation: the required and the optional ones.
 _FIELDS: dict[str, tuple[dict[str, type], dict[str, type]]] = {
     "advertise": ({"topic": str, "type": str}, {"latch": bool, "queue_size": int, "qos": dict}),
     "unadvertise": ({"topic": str}, {}),
@@ -70,7 +70,7 @@ _FIELDS: dict[str, tuple[dict[str, type], dict[str, type]]] = {
 
 
 class Refused(Exception):
-    """Something that the bridge does not take."""
+    """A message that the bridge does not accept."""
 
 
 @dataclass
@@ -96,16 +96,16 @@ class _Subscription:
 
 
 class RosBridge:
-    """Takes the messages of one client, and gives what it is sent.
+    """Takes the messages of one client, and returns the answers.
 
     Args:
-        topics: the robot's, by name.
+        topics: the robot's topics, by name.
         now: the time, s.
-        statuses: whether it tells the client what it does not take.
+        statuses: whether it tells the client which messages it rejects.
         rosapi: whether the node with the services runs.
 
     Attributes:
-        log: what it did not take.
+        log: the rejected messages.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class RosBridge:
             del self.topics[name]
 
     def take(self, text: str) -> list[str]:
-        """Take a message; return what is sent in answer."""
+        """Take a message; return the answer."""
         try:
             message = json.loads(text)
         except ValueError:
@@ -158,7 +158,7 @@ class RosBridge:
             return [json.dumps(status)] if self._statuses else []
 
     def is_subscribed(self, name: str) -> bool:
-        """Return whether the client has messages of a topic sent."""
+        """Return whether the client has subscribed to a topic."""
         return name in self._subscribed
 
     def publish(self, name: str, message: dict[str, Any]) -> list[str]:
@@ -253,7 +253,7 @@ def populate(message: Any, kind: str, now: float | None = None) -> dict[str, Any
     Args:
         message: some of its fields.
         kind: its type.
-        now: goes into a header that is there without a time of its own, s.
+        now: time for a header without one, s.
 
     Raises:
         Refused: in rosbridge's words, if a field is not of the type.
@@ -289,7 +289,7 @@ def _object(
 
 
 def _finite(value: Any) -> Any:
-    """Return a message as JSON has it: infinity, and what is not a number, are null."""
+    """Return a message for JSON: infinity and NaN become null."""
     if isinstance(value, dict):
         return {name: _finite(inner) for name, inner in value.items()}
     if isinstance(value, list):

@@ -19,7 +19,7 @@ from neurosim.robots.base import Clock
 from neurosim.robots.ros.driver import NONE, Ros
 from neurosim.robots.ros.websocket import WebSocketEnd
 
-#: A message takes so long, s, and so does the answer to a ping.
+#: Delay of a message, and of the answer to a ping, s.
 LATENCY = 0.003
 
 
@@ -27,18 +27,18 @@ class BridgeEnd(SocketEnd):
     """The bridge's end of a WebSocket, one client at a time.
 
     Args:
-        node: what stands behind the bridge.
+        node: the node behind the bridge.
         clock: the lab's.
-        lock: held while the node is touched.
+        lock: held while the node is used.
         port: 0 for any free one.
 
     Attributes:
-        silent: nothing is taken or answered any more.
+        silent: whether messages are no longer taken or answered.
     """
 
     def __init__(self, node: BaseNode, clock: Clock, lock: threading.RLock, port: int):
         self._node, self._clock, self._lab = node, clock, lock
-        # Held while bytes are made and sent; whoever holds it does not wait for the lab.
+        # Held while bytes are made and sent; its holder does not wait for the lab.
         self._wire = threading.Lock()
         self._client: socket.socket | None = None
         self._end: WebSocketEnd | None = None
@@ -78,7 +78,7 @@ class BridgeEnd(SocketEnd):
                     answers += self._node.bridge.take(text)
             self._sleep(LATENCY * (end.pings - before))
             with self._wire:
-                # The answer to a ping leaves with these: what came before it is done.
+                # The answer to a ping leaves with these: the messages before it are done.
                 for answer in answers if end.is_open else ():
                     end.text(answer)
                 if not send(client, end.to_send()) or not data or end.is_over:
@@ -105,17 +105,16 @@ class VirtualRosRig(BoardRig):
     """A base of the virtual lab that ROS drives, behind its rosbridge.
 
     Args:
-        robot_seed: which robot and which board; the same number is the same robot.
+        robot_seed: number of robot and board; the same number gives the same robot.
         port: of the socket; 0 for any free one.
-        real_time: the lab's time will be the wall clock's (see
+        real_time: whether the lab's time is the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
         stamped: whether the base takes TwistStamped.
-        stops_after: time without a message after which its controller stops it, s; infinity: it
-            goes on.
-        laser, laser_sectors, laser_reach: of the driver, as :class:`neurosim.robots.ros.driver.Ros`
-            has them.
-        statuses, rosapi: as :class:`neurosim.lab.ros.bridge.RosBridge` has them.
-        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
+        stops_after: time without a message after which its controller stops it, s; infinity: never.
+        laser, laser_sectors, laser_reach: of the driver, see
+            :class:`neurosim.robots.ros.driver.Ros`.
+        statuses, rosapi: see :class:`neurosim.lab.ros.bridge.RosBridge`.
+        **board: see :class:`neurosim.lab.rig.OnBoard`.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -187,9 +186,9 @@ class VirtualRosRig(BoardRig):
         return not any(self.node.velocities)
 
     def switch_off(self) -> None:
-        """Switch the network off: nothing is taken or answered any more."""
+        """Switch the network off: messages are no longer taken or answered."""
         self._server.silent = True
 
     def hang_up(self) -> None:
-        """Cut the connection, as a bridge does that ends."""
+        """Cut the connection, like a bridge that ends."""
         self._server.drop_client()

@@ -1,8 +1,8 @@
 """A virtual Thymio II's firmware: Aseba's messages and its virtual machine, in front of a body.
 
 After the sources of the robot's firmware (Mobsya/aseba-target-thymio2) and of Aseba 1.6. It shares
-nothing with the driver but the types of messages. Not modelled: events but ``motor``, buttons,
-sound, branches and events of programs; a program that has another instruction stops.
+only the types of messages with the driver. Not modelled: events other than ``motor``, buttons,
+sound, branches and events of programs; a program with another instruction stops.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from neurosim.robots.thymio.driver import SCAN, VIRTUAL
 NODE, VERSION, PRODUCT = 51, 14, 8
 #: Time between two events ``motor``, s.
 TICK = 0.01
-#: Named variables with their sizes, in the order of the firmware's; events; native functions.
+#: Named variables with their sizes, in the firmware's order; events; native functions.
 NAMED = {
     "_id": 1, "event.source": 1, "event.args": 32, "_fwversion": 2, "_productId": 1,
     "buttons._raw": 5, "button.backward": 1, "button.left": 1, "button.center": 1,
@@ -50,7 +50,7 @@ EVENTS = (
     "timer1",
 )  # fmt: skip
 NATIVES = ("_system.reboot", "math.copy", "math.fill", "leds.top", "leds.circle", "_poweroff")
-#: Words of memory without a name, of a program, and of its stack; instructions that a run may have.
+#: Words of unnamed memory, of a program, and of its stack; largest number of instructions of a run.
 FREE, PROGRAM, STACK, STEPS = 512, 1534, 32, 1000
 #: The largest payload of a message.
 LONGEST = 512
@@ -81,14 +81,15 @@ class Hardware(Protocol):
 
 
 class ThymioFirmware:
-    """Takes bytes, moves a body, gives bytes.
+    """Takes bytes, moves a body, and answers with bytes.
 
     Args:
         hardware: the body.
-        lock: held while the body is touched.
+        lock: held while the body is used.
 
     Attributes:
-        ends: when the next event ``motor`` is due, s; who moves the time calls :meth:`end` then.
+        ends: time of the next event ``motor``, s; the object that advances the time calls
+            :meth:`end` then.
         memory: of the virtual machine.
     """
 
@@ -118,7 +119,7 @@ class ThymioFirmware:
             self.hardware.lamp(False)
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes as they come and return the answers to whole messages."""
+        """Take bytes in pieces of any size; return the answers to complete messages."""
         self._data += data
         answers = b""
         while len(self._data) >= 6:
@@ -136,7 +137,7 @@ class ThymioFirmware:
 
     @property
     def targets(self) -> tuple[int, int]:
-        """The speeds that both wheels are to have."""
+        """The commanded speeds of both wheels."""
         left = self._addresses["motor.left.target"]
         return self.memory[left], self.memory[left + 1]
 
@@ -158,7 +159,7 @@ class ThymioFirmware:
         self._put("prox.ground.delta", self.hardware.ground())
 
     def _act(self) -> None:
-        """Let the body do what the memory says."""
+        """Apply the memory's variables to the body."""
         self.hardware.drive(*self.targets)
 
     def _carry_out(self, type_: int, words: tuple[int, ...]) -> bytes:
@@ -195,7 +196,7 @@ class ThymioFirmware:
         return messages
 
     def _at_event(self, event: int) -> None:
-        """Run the program from where it answers an event, if it does."""
+        """Run the program's handler of an event, if it has one."""
         vector = self._program[1 : self._program[0]]
         places = dict(zip(vector[::2], vector[1::2], strict=False))
         if event in places:
@@ -242,7 +243,7 @@ class ThymioFirmware:
 
 
 def _divided(first: int, second: int) -> int:
-    """Return a quotient cut off towards 0, as the robot's processor has it."""
+    """Return a quotient rounded towards 0, like the robot's processor."""
     return int(first / second)
 
 

@@ -20,37 +20,37 @@ from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, PROXIM
 
 #: Time of a byte, s: an answer takes a few milliseconds, as one over USB does.
 BYTE = 10 / 115_200
-#: What one ray of a proximity sensor contributes, m (c - x0^2) / (d^2 - 2 x0 d + c) at a distance d
-#: up to :data:`REACH` (m; x0 in m, c in m^2), and the noise of a reading (standard deviation): as
+#: Contribution of one ray of a proximity sensor, m (c - x0^2) / (d^2 - 2 x0 d + c) at a distance d
+#: up to :data:`REACH` (m; x0 in m, c in m^2), and the noise of a reading (standard deviation), as
 #: in Enki, the simulator of the robot's makers (Thymio2.cpp, IRSensor.cpp).
 MOST, NEAREST, WIDTH, FLICKER = 4505.0, 0.0003, 0.0073, 2.87
-#: A sensor has three rays, so far apart (rad). Before a surface across the middle one its reading
-#: is that ray's contribution alone.
+#: Angle between the three rays of a sensor (rad). If a surface is perpendicular to the middle ray,
+#: the reading is this ray's contribution alone.
 APART = math.radians(15.0)
-#: From robot to robot: where the sensors look (rad), and how bright they are (a fraction), as
-#: standard deviations.
+#: Differences between robots (standard deviations): the sensors' directions (rad), and their
+#: brightness (a fraction).
 CROOKED, UNEVEN = math.radians(2.0), 0.1
-#: A wheel turns faster than it is measured to, by this fraction (standard deviation, from robot to
-#: robot), and not at all where it is to be slower than this, m/s.
+#: Error of a wheel's measured speed (a fraction; standard deviation between robots), and the speed
+#: below which a wheel does not turn, m/s.
 UNEQUAL, DEAD = 0.02, 0.004
-#: Radius of what a ground sensor sees, m, and the standard deviation of its noise, of 1000.
+#: Radius of a ground sensor's spot, m, and the standard deviation of its noise, of 1000.
 SPOT, NOISE = 0.008, 5.0
 
 
 class ThymioBody(PlanarBody):
-    """Two wheels, what looks around and what looks at the ground.
+    """Two wheels, proximity sensors and ground sensors.
 
     Its drives are those of the lab's planar bodies: one forward, one for turning.
 
     Args:
-        robot_seed: which robot: the same number is the same one.
+        robot_seed: number of the robot; the same number gives the same robot.
         seed: of its slip and noise.
 
     Attributes:
         radius: of the disc that meets walls and obstacles, m.
-        sensors: [7, 3] where its proximity sensors are and look, m, m, rad.
-        brightness: [7] of these, over that of a usual one.
-        wheels: speeds of the left and of the right wheel, over what is measured.
+        sensors: [7, 3] positions and directions of its proximity sensors, m, m, rad.
+        brightness: [7] of these, relative to a typical one.
+        wheels: speeds of the left and of the right wheel over the measured ones.
     """
 
     radius = BODY.radius
@@ -123,12 +123,12 @@ class VirtualThymioRig(BoardRig):
     """A Thymio II of the virtual lab, behind its line.
 
     Args:
-        robot_seed: which robot and which board; the same number is the same robot.
-        device: ``pty``, ``socket``, or None for whichever the system has.
+        robot_seed: number of robot and board; the same number gives the same robot.
+        device: ``pty``, ``socket``, or None for the one that the system has.
         port: of the socket; 0 for any free one.
-        real_time: the lab's time will be the wall clock's (see
+        real_time: whether the lab's time is the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
-        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
+        **board: see :class:`neurosim.lab.rig.OnBoard`.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -153,7 +153,7 @@ class VirtualThymioRig(BoardRig):
             robot_seed,
             **board,
         )
-        body.proximity()  # compiled before anybody waits for an answer
+        body.proximity()  # compiled before a client waits for an answer
         self.firmware = ThymioFirmware(body, self.lab.lock)
         self.lab.program = self.firmware
         self.cable = SerialCable(self.firmware, self.lab.clock, BYTE)

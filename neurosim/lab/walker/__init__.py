@@ -1,4 +1,4 @@
-"""A walking robot of the lab, and the places where it walks."""
+"""A walking robot of the lab, and its floors."""
 
 from neurosim.lab.walker.robot import PLACES, Ground, VirtualWalker
 

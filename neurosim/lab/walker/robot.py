@@ -1,16 +1,16 @@
-"""Walking robots of the lab: what stands in for reality where nobody has a robot.
+"""Walking robots of the lab, which take the place of a real robot.
 
-A learner is shown one number a trial. The physics behind it differ from the simulator's in ways
-that none of its adjustable parameters can express: another time step, another friction cone,
-backlash, dry friction in the joints, servos that lag and have a greatest speed, legs of unequal
-lengths, bumps, a battery that runs down, and noise from trial to trial.
+A learner gets one number for each trial. The physics differ from the simulator's in ways that none
+of its adjustable parameters can express: another time step, another friction cone,
+backlash, dry friction in the joints, servos with a lag and a greatest speed, legs of unequal
+lengths, bumps, a battery that runs down, and noise between trials.
 
-The trial is the paper's (Zagal et al. 2004, section 5.2): the robot is put in the middle of a
-circle with a radius of 200 cm, is started, and is stopped where it crosses the circle; its fitness
-is the radius divided by the time. A fall, or not to arrive in time, is a fitness of 0.
+The trial is the paper's (Zagal et al. 2004, section 5.2): the robot starts in the middle of a
+circle with a radius of 200 cm, and is stopped where it crosses the circle; its fitness is the
+radius divided by the time. After a fall, or too much time, the fitness is 0.
 
-The constants were fixed before anything was tuned. ``main`` is what numbers are tuned on, the
-other two are not.
+The constants were fixed before anything was tuned. Settings are tuned on ``main``, never on the
+other two.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RADIUS, LONGEST = 2.0, 60.0
 
 @dataclass(frozen=True)
 class Ground:
-    """A robot and the ground on which it walks.
+    """A robot and its ground.
 
     Attributes:
         build: the robot's true measures.
@@ -44,12 +44,12 @@ class Ground:
         speed: fastest that a servo turns, rad/s.
         sag: fraction of torque and of the servos' speed that is lost from a full battery to an
             empty one.
-        charge: trials from a full battery to an empty one; then it is charged.
-        bumps: how many there are in a square metre.
-        height: of the highest, m.
-        scatter: standard deviations from trial to trial: of the heading at the start, rad; of the
-            friction, a fraction; of the time that is measured, s.
-        seed: of where the bumps are.
+        charge: number of trials from a full battery to an empty one, which is then charged.
+        bumps: number per square metre.
+        height: of the highest bump, m.
+        scatter: standard deviations between trials: of the heading at the start, rad; of the
+            friction, a fraction; of the measured time, s.
+        seed: of the bumps' positions.
     """
 
     build: Build
@@ -167,26 +167,26 @@ PLACES = {
 class VirtualWalker:
     """A walking robot of the lab: controllers in, one number a trial out.
 
-    It is a :class:`~neurosim.loop.journal.Reality`.
+    It implements :class:`~neurosim.loop.journal.Reality`.
 
     Attributes:
-        controller: whose genes it is given; its commands are angles of the joints by time.
-        place: the robot's name and where it walks.
+        controller: the family of its individuals; its commands are angles of the joints by time.
+        place: the name of robot and floor.
     """
 
     @checks
     def __init__(self, controller: Any, place: str = "main", seed: Seed = 0, task: Any = None):
-        """Put a robot of the lab in its place.
+        """Make the robot of a floor.
 
         Args:
             controller: a controller whose commands depend on time alone, such as a gait.
             place: The floor: main, carpet or parquet.
             seed: Random seed of the noise from trial to trial.
-            task: that is to be done: walking, or None.
+            task: the task walking, or None.
 
         Raises:
-            UserError: if there is no such place, the controller is of another kind, the task is
-                another one, or the seed is negative.
+            UserError: if the floor is unknown, the controller or the task is of another kind, or
+                the seed is negative.
         """
         if place not in PLACES:
             raise UserError(
@@ -207,7 +207,7 @@ class VirtualWalker:
         self._physics = Physics(compile_model(self._build))
 
     def describe(self) -> dict[str, Any]:
-        """Return which robot it is."""
+        """Return the robot's description."""
         return {"kind": "virtual-walker", "virtual": True, "place": self.place, "seed": self._seed}
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
@@ -215,7 +215,7 @@ class VirtualWalker:
 
         Args:
             genes: of it.
-            number: of the trial; it says how full the battery is and what the noise is.
+            number: of the trial; it determines the battery's charge and the noise.
         """
         return float(self.trials(genes[None], np.array([number]))[0])
 
@@ -250,13 +250,13 @@ class VirtualWalker:
 def servo(
     commands: NDArray[np.float64], first: NDArray[np.float64], fraction: float, most: float
 ) -> NDArray[np.float64]:
-    """Return where servos are driven to, [T, 12] rad: late, and no faster than they can.
+    """Return the servos' angles, [T, 12] rad, with their lag and their largest speed.
 
     Args:
         commands: [T, 12] rad, one a frame.
-        first: [12] where they are before, rad.
-        fraction: of the way that is left, in a frame.
-        most: in a frame, rad.
+        first: [12] angles before, rad.
+        fraction: fraction of the remaining angle in a frame.
+        most: largest change in a frame, rad.
     """
     reached = np.empty_like(commands)
     for joint in range(commands.shape[1]):
@@ -274,7 +274,7 @@ def _bumps(place: Ground) -> tuple[tuple[float, float, float, float], ...]:
     count = round(place.bumps * side * side)
     centres = rng.uniform(-0.5 * side, 0.5 * side, (count, 2))
     radii, heights = rng.uniform(0.03, 0.08, count), place.height * rng.uniform(0.3, 1.0, count)
-    # Where the robot is placed the floor is flat.
+    # The floor is flat at the robot's start.
     kept: Sequence[bool] = (np.linalg.norm(centres, axis=1) > 0.3).tolist()
     rows = np.column_stack([centres, radii, heights]).tolist()
     return tuple(tuple(row) for row, keep in zip(rows, kept, strict=True) if keep)

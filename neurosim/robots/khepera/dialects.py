@@ -1,10 +1,10 @@
 """The dialects of the Kheperas and the e-pucks on the serial line.
 
-All take a letter with numbers behind commas and answer with the same letter in lower case, numbers
-behind commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and Khepera II User Manual
-1.1 (2002), appendix A; Khepera III User Manual, appendix A; the Khepera IV's ``kh4server.c`` and
-``khepera4.h`` of its libkhepera; the firmware ``asercom``/``sercom`` of the e-puck (EPFL, GCtronic)
-and ``Asercom2.c``, ``e_motors.c``, ``proximity.c``, ``battery_level.h`` of the e-puck2's
+All take a letter followed by numbers with commas, and answer with the same letter in lower case,
+numbers with commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and Khepera II User
+Manual 1.1 (2002), appendix A; Khepera III User Manual, appendix A; the Khepera IV's ``kh4server.c``
+and ``khepera4.h`` of its libkhepera; the firmware ``asercom``/``sercom`` of the e-puck (EPFL,
+GCtronic) and ``Asercom2.c``, ``e_motors.c``, ``proximity.c``, ``battery_level.h`` of the e-puck2's
 (e-puck2_main-processor), with GCtronic's page "Advanced sercom protocol".
 """
 
@@ -19,37 +19,37 @@ from neurosim.robots.base import Geometry
 
 @dataclass(frozen=True)
 class Dialect:
-    """One robot's way of speaking.
+    """The protocol of one robot.
 
     Attributes:
-        name: what it is called on the command line.
-        robot: what it is called in a sentence.
+        name: its name on the command line.
+        robot: its name in a sentence.
         baud: the line's speed as delivered.
         stop_bits: 1 or 2.
         version: command that asks for the firmware's version.
-        read_counts: command that asks for the position counters; None where there is none.
-        set_counts: letter that sets the position counters; None where no command does: the driver
-            then counts from where they were.
+        read_counts: command that reads the position counters; None if there is none.
+        set_counts: letter that sets the position counters; None if there is none: the driver then
+            counts from their last values.
         long: prefix of a 32-bit number in a command.
         lamp: commands that switch the lamp on and off.
-        banners: what the robot says, anywhere in a line, when it has just been switched on.
-        sensors: places of the infra-red sensors used among the answer's numbers.
-        values: how many numbers an answer about the sensors has.
-        angles: where the sensors look, degrees counter-clockwise from straight ahead.
-        full_scale: of a proximity reading.
+        banners: texts, anywhere in a line, that the robot sends when it is switched on.
+        sensors: indices of the used infra-red sensors in the answer's numbers.
+        values: number of numbers in an answer about the sensors.
+        angles: directions of the sensors, degrees counter-clockwise from straight ahead.
+        full_scale: largest proximity reading.
         dark: reading of a sensor of ambient light in the dark; it falls with light.
-        scan: in which all sensors are read in turn, s: a reading is half as old in the mean;
-            0 where that is not known.
+        scan: duration of reading all sensors in turn, s; a reading's mean age is half of it; 0 if
+            unknown.
         pulses_per_metre: of the position counters.
-        speed_unit: the wheel speed that a speed of 1 stands for, m/s.
+        speed_unit: the wheel speed of the number 1, m/s.
         full_speed: default speed at 100 %, in the robot's own units.
-        max_speed: the largest number that may be sent.
+        max_speed: the largest number for a speed.
         geometry: of the body.
-        end: of a command.
-        error: what an answer begins with that refuses a command.
+        end: end of a command.
+        error: beginning of an answer that rejects a command.
         battery: command that asks for the battery's voltage.
-        battery_unit: what 1 in its answer stands for, V.
-        not_this: what stands in the version of another robot that answers alike, and its dialect.
+        battery_unit: voltage of the number 1 in its answer, V.
+        not_this: a text in the version of another robot with similar answers, and its dialect.
     """
 
     name: str
@@ -106,7 +106,7 @@ KHEPERA = Dialect(
     geometry=Geometry(radius=0.0275, wheel_base=0.053),
 )
 
-#: Khepera III. Its sensors are put into the Khepera's order as far as it has them: left 90, 45,
+#: Khepera III. Its sensors are put into the Khepera's order, if the Khepera has them: left 90, 45,
 #: front left, front right, right 45, 90, back right, back left; the one straight behind and the
 #: two under it are left out.
 KHEPERA3 = Dialect(
@@ -157,7 +157,7 @@ KHEPERA4 = Dialect(
     full_speed=150,  # 10 cm/s
     max_speed=1500,
     geometry=Geometry(radius=0.0704, wheel_base=0.1054),
-    end="\n",  # its line is read by the system, whole lines at a time
+    end="\n",  # its system reads whole lines at a time
     error="$",
     battery="V,0",
     battery_unit=0.001,
@@ -209,7 +209,7 @@ def dialect_named(name: str) -> Dialect:
     """Return the dialect of this name.
 
     Raises:
-        UserError: if there is none.
+        UserError: if the name is unknown.
     """
     try:
         return DIALECTS[name]

@@ -17,9 +17,9 @@ from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.khepera.dialects import Dialect, dialect_named
 from neurosim.robots.serial_line import SerialLine
 
-#: How often a command is sent before the robot counts as lost; all of them may be repeated.
+#: Number of times that a command is sent before the robot counts as lost; all may be repeated.
 TRIES = 3
-#: Stands in the version of a robot of the virtual lab.
+#: Text in the version of a robot of the virtual lab.
 VIRTUAL = "virtual"
 
 
@@ -27,11 +27,11 @@ class Khepera:
     """A small round robot with a ring of infra-red sensors and two wheels.
 
     Follows :class:`neurosim.robots.base.Robot`, ``LightSensors``, ``Counters``, ``WholeSpeeds``
-    and, where the dialect has them, ``Lamp`` and ``Battery``. Bytes that make no answer are passed
-    over, commands without a good answer are sent again. A robot that reboots is noticed by what it
-    says then: it is set to the speeds that it had, its counters to what was last read, and
-    :attr:`reboots` counts it. A robot that no longer answers gets a stop, several times, before the
-    line is closed. It has nothing that would stop it by itself.
+    and, if the dialect has them, ``Lamp`` and ``Battery``. Bytes that are not an answer are
+    ignored, and commands without a good answer are sent again. A reboot is noticed by its text: the
+    robot gets its former speeds, its counters the last values, and :attr:`reboots` counts it. A
+    robot that no longer answers gets a stop, several times, before the line is closed. It does not
+    stop by itself.
 
     Args:
         port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or a URL such as socket://host:port.
@@ -41,15 +41,15 @@ class Khepera:
         full_speed: Speed at 100 % in the robot's own units; by default the dialect's, which for a
             Khepera is 10, 100 mm/s.
         pulses_per_metre: Pulses of the position counters per metre; by default the dialect's.
-        timeout: Wall-clock seconds that an answer may take, each time it is asked for; a robot that
-            is lost later drives unguarded meanwhile.
-        clock: the robot's clock; the virtual lab hands in its own.
+        timeout: Wall-clock seconds that an answer may take, at each attempt; a lost robot drives
+            unguarded meanwhile.
+        clock: the robot's clock; the virtual lab gives its own.
 
     Attributes:
         geometry: radius and wheel base, m.
         pulses_per_metre: of the position counters.
-        speed_unit: the wheel speed that a speed of 1 stands for, m/s.
-        angles: where the sensors look, [S] rad counter-clockwise from straight ahead, in the
+        speed_unit: the wheel speed of the number 1, m/s.
+        angles: directions of the sensors, [S] rad counter-clockwise from straight ahead, in the
             order of :meth:`read_proximity`.
         reboots: number of observed restarts of the robot.
 
@@ -79,7 +79,7 @@ class Khepera:
             )
         self.geometry: Geometry = self.dialect.geometry
         self.pulses_per_metre = float(pulses_per_metre or self.dialect.pulses_per_metre)
-        # A speed is a number of pulses in a time, so that it goes with the size of a pulse.
+        # A speed is a number of pulses in a time, so it depends on the size of a pulse.
         self.speed_unit = (
             self.dialect.speed_unit * self.dialect.pulses_per_metre / self.pulses_per_metre
         )
@@ -90,7 +90,7 @@ class Khepera:
             self.battery = self._battery
         self.reboots = 0
         self._timeout = timeout
-        # A line end first: half a command must not stand before the stop.
+        # A line end first, so that half a command does not precede the stop.
         self._end = self.dialect.end.encode()
         self._line = SerialLine(
             port,
@@ -105,7 +105,7 @@ class Khepera:
         self._restoring = False
 
     def connect(self) -> None:
-        """Open the line, make sure that a robot of this kind answers, and stop it.
+        """Open the line, check that a robot of this kind answers, and stop it.
 
         Raises:
             RobotError: if the port cannot be opened, nothing answers, or something else does.
@@ -114,7 +114,7 @@ class Khepera:
             self._line.connect(self._greet)
 
     def _greet(self) -> None:
-        # Half a command of an earlier program must not stand before ours.
+        # Half a command of an earlier program must not precede the first one.
         self._line.write(self._end)
         self._version = self._first_answer()
         if (other := self.dialect.not_this) is not None and other[0] in self._version:
@@ -125,7 +125,7 @@ class Khepera:
         self.set_speeds(0, 0)
 
     def close(self) -> None:
-        """Stop the motors if the line still stands, and close it; raises nothing but Ctrl-C."""
+        """Stop the motors if the line is still open, and close it; raises only Ctrl-C."""
         self._line.hang_up(lambda: self.set_speeds(0, 0))
 
     @property
@@ -137,12 +137,12 @@ class Khepera:
         )
 
     def drive(self, command: Sequence[float]) -> None:
-        """Set both motors, in percent of full speed, -100 to 100; they hold it until the next.
+        """Set both motors, in percent of full speed, -100 to 100, until the next command.
 
-        The robot takes whole speeds only; what is asked for is rounded.
+        The robot takes whole speeds only; others are rounded.
 
         Raises:
-            UserError: if that is no speed.
+            UserError: if it is not a speed.
             LinkLost: if the robot does not acknowledge it.
         """
         self.set_speeds(*self._units(*command))
@@ -151,7 +151,7 @@ class Khepera:
         """Set both wheels' speeds in the robot's own units (a Khepera's are pulses in 10 ms).
 
         Raises:
-            UserError: beyond what the robot takes.
+            UserError: if one is beyond the robot's limits.
             LinkLost: if the robot does not acknowledge it.
         """
         self._ask(self._speed_command(left, right), 0)
@@ -161,10 +161,10 @@ class Khepera:
         self.set_speeds(0, 0)
 
     def read_proximity(self) -> np.ndarray:
-        """Read reflected light, [8] int, larger where something is near.
+        """Read reflected light, [8] int, larger near an object.
 
-        In the robot's own order and range: a Khepera's from left to right in front (0 to 5),
-        behind to the right (6) and to the left (7), 0..1023; see the dialect's ``angles``.
+        The robot's own order and range are kept: a Khepera's sensors from left to right in front (0
+        to 5), behind to the right (6) and to the left (7), 0..1023; see the dialect's ``angles``.
         """
         return self._sensors("N")
 
@@ -203,7 +203,7 @@ class Khepera:
 
     @property
     def scan(self) -> float:
-        """In which the robot reads all its sensors in turn, s; 0 where that is not known."""
+        """Duration of reading all sensors in turn, s; 0 if unknown."""
         return self.dialect.scan
 
     def read_sensors(self) -> dict[str, float]:
@@ -270,7 +270,7 @@ class Khepera:
         return np.array([values[place] for place in self.dialect.sensors])
 
     def _first_answer(self) -> str:
-        """Return the version that the robot tells."""
+        """Return the robot's version."""
         letter, heard = self.dialect.version, []
         for _ in range(TRIES):
             self._line.write(letter.encode() + self._end)
@@ -296,7 +296,7 @@ class Khepera:
         )
 
     def _ask(self, command: str, count: int) -> list[int]:
-        """Send a command and return the numbers of its answer, however often that takes."""
+        """Send a command, repeatedly if necessary, and return the numbers of its answer."""
         reason = ""
         for _ in range(TRIES):
             self._hear_reboots()
@@ -315,7 +315,7 @@ class Khepera:
         )
 
     def _answer(self, letter: str, count: int) -> tuple[list[int] | None, str]:
-        """Return an answer's numbers, or None and what came in its place."""
+        """Return an answer's numbers, or None and the received text."""
         end = time.monotonic() + self._timeout
         seconds = self._timeout
         while (line := self._line.read_line(seconds)) is not None:
@@ -345,7 +345,7 @@ class Khepera:
             self._restoring = True
             try:
                 if self._counts is not None and self.dialect.set_counts is None:
-                    self._zeros = (-self._counts[0], -self._counts[1])  # they begin at 0
+                    self._zeros = (-self._counts[0], -self._counts[1])  # they restart at 0
                 elif self._counts is not None:
                     self._ask(self._set(self.dialect.set_counts, self._counts), 0)
                 self._ask(self._set("D", self._speeds), 0)
@@ -360,8 +360,8 @@ def _numbers(text: str, letter: str) -> list[int] | None:
     if name != letter:
         return None
     try:
-        # The Khepera III may put d or l before a number, as it asks for in commands; an e-puck2
-        # puts percents in brackets behind its battery's.
+        # The Khepera III may put d or l before a number, as in commands; an e-puck2 adds percents
+        # in brackets to its battery's.
         return [int(value.partition("(")[0].strip().lstrip("dl")) for value in values]
     except ValueError:
         return None

@@ -1,7 +1,7 @@
-"""Whether a robot keeps to docs/lines.md: tried over its line, with nothing but its answers.
+"""A check over its line that a robot follows docs/lines.md.
 
-The robot drives for moments, at up to a quarter of its limits: let it stand free, or lift its
-wheels. Broken and cut lines are tried byte by byte.
+The robot drives for short times, at up to a quarter of its limits: give it free space, or lift its
+wheels. Wrong and cut lines are tried byte by byte.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from neurosim.robots.lines.driver import BAUD, BOOT, Lines
 from neurosim.robots.lines.protocol import LONGEST, Greeting, decode, encode
 from neurosim.robots.serial_line import SerialLine
 
-#: An answer may take so long, wall-clock s.
+#: Longest time of an answer, wall-clock s.
 PATIENCE = 2.0
-#: A robot that was stopped has come to rest after so long, s.
+#: Time after which a stopped robot is at rest, s.
 COASTS = 0.8
-#: So much more than it was to last may a command last, s.
+#: Largest excess of a command's duration, s.
 OVER = 0.15
 
 
@@ -26,16 +26,16 @@ def check_lines(port: str, *, baud: int = BAUD, clock: Clock | None = None) -> G
     """Check the robot behind a port against the protocol.
 
     Args:
-        port: as the driver takes it.
+        port: port for the driver.
         baud: speed of the line.
-        clock: that runs with the robot's; by default this computer's.
+        clock: a clock in the robot's time; by default this computer's.
 
     Returns:
         Its greeting.
 
     Raises:
-        AssertionError: saying in one sentence what is not as it must be.
-        RobotError: if nothing answers there, or it greets in a wrong way.
+        AssertionError: with one sentence about the first deviation.
+        RobotError: if nothing answers, or the greeting is wrong.
     """
     driver = Lines(port, baud=baud, timeout=PATIENCE)
     with driver:
@@ -61,7 +61,7 @@ class _Check:
         self._gentle = " ".join(gentle)
 
     def all(self) -> None:
-        """Check all; it reports the first wrong one."""
+        """Run all checks; the first deviation is reported."""
         self._settle()
         self._by_hand()
         self._times()
@@ -76,7 +76,7 @@ class _Check:
                 _require(self._ask(f"lamp {on}")[0] == "ok", f"'lamp {on}' must be answered by ok")
 
     def _settle(self) -> None:
-        """Wait until it answers: a board may be reset as its port is opened."""
+        """Wait until the robot answers: opening the port may reset a board."""
         end = time.monotonic() + BOOT
         while time.monotonic() < end:
             number = self._send("stop")
@@ -85,7 +85,7 @@ class _Check:
         _require(False, "it does not answer 'stop'")
 
     def _by_hand(self) -> None:
-        """A person at a terminal writes neither number nor checksum."""
+        """Requests of a person at a terminal have neither number nor checksum."""
         for word in ("hello", "read", "stop"):
             self._write(word.encode() + b"\r\n")
             words = self._wait("0", PATIENCE)
@@ -157,7 +157,7 @@ class _Check:
         self._stands("a command that was followed by a line with a wrong checksum")
 
     def _beyond(self) -> list[str]:
-        """Return commands of which one number is beyond its limits, or none at all."""
+        """Return commands with one number beyond its limits, or without numbers."""
         beyond = []
         for place, one in enumerate(self._greeting.commands.numbers):
             span = one.high - one.low
@@ -174,19 +174,19 @@ class _Check:
             _require(self._wait(str(number), PATIENCE) is not None, f"a line may end in {end!r}")
 
     def _cuts(self) -> None:
-        """A command that is cut after any byte moves nothing, whatever follows."""
+        """A command that is cut after any byte moves nothing, with any text after it."""
         whole = encode(f"{self._next()} drive 2000 {self._gentle}")
         for cut in range(len(whole) - 1):
             self._write(whole[:cut] + b"\n")
             rest = self._rest()
             _require(rest == 0, f"it drives for {rest} ms after {whole[:cut]!r} and a line end")
-            # The next line comes behind the cut one, as one line with it.
+            # The next line follows the cut one, and both form one line.
             self._write(whole[:cut] + encode(f"{self._next()} read"))
             rest = self._rest()
             _require(rest == 0, f"it drives for {rest} ms after {whole[:cut]!r} and another line")
 
     def _cuts_while_driving(self) -> None:
-        """A command that is cut does not make the one before it last longer."""
+        """A cut command does not prolong the previous one."""
         whole = encode(f"{self._next()} drive 5000 {self._gentle}")
         for cut in (1, len(whole) // 2, len(whole) - 6, len(whole) - 2):
             self._drive(300)
@@ -201,7 +201,7 @@ class _Check:
         self._sleep(0.3 + OVER)
         self._stands("a command that was followed by garbage")
 
-    # What is asked
+    # Requests
 
     def _stands(self, what: str) -> None:
         rest = self._rest()

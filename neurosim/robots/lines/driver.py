@@ -15,36 +15,36 @@ from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.lines.protocol import Greeting, GreetingError, decimal, decode, encode
 from neurosim.robots.serial_line import SerialLine
 
-#: How often a request is sent before the robot counts as lost.
+#: Number of times that a request is sent before the robot counts as lost.
 TRIES = 3
-#: A board that is reset as its port is opened takes so long to answer, s.
+#: Longest time until a board answers that is reset by opening its port, s.
 BOOT = 4.0
-#: A command holds for so much longer than it is to last, s: the next one may be a little late.
+#: Extra time of a command, s, because the next one may be a little late.
 LATE = 0.3
 #: Requests are numbered from 1 up to this, and from 1 again.
 LAST_NUMBER = 999
 #: Pulses per metre are those of Arduinos' usual rate.
 BAUD = 115_200
-#: Radius of a body that does not say its own, m.
+#: Radius of a body that does not give its own, m.
 RADIUS = 0.1
 
 
 class Lines:
-    """A robot that says what its commands are, on any serial port, URL of pyserial or LEGO hub.
+    """A robot that describes its commands, on any serial port, URL of pyserial or LEGO hub.
 
-    Follows :class:`neurosim.robots.base.Robot`, ``Sensors`` and ``SelfStopping`` and, where the
-    robot says so, ``Counters``, ``Proximity``, ``Lamp`` and ``Battery``; which of these it has is
-    known once it is connected. Each command carries its duration, so the robot stops by itself,
-    whatever becomes of the computer or the line. Requests without a good answer are sent again. A
-    robot that restarts is noticed by its first line: its counters then count on from where they
-    were, and :attr:`reboots` counts it.
+    Follows :class:`neurosim.robots.base.Robot`, ``Sensors`` and ``SelfStopping`` and, if the robot
+    has them, ``Counters``, ``Proximity``, ``Lamp`` and ``Battery``, which are known after
+    connecting. Each command contains its duration, so the robot stops by itself if the computer or
+    the line fails. Requests without a good answer are sent again. A restart is noticed by the
+    robot's first line: its counters then continue from their last values, and :attr:`reboots`
+    counts it.
 
     Args:
         port: Serial port, such as ``/dev/ttyACM0`` or COM3, a URL such as socket://host:port, or
             pybricks://name for a LEGO hub.
         baud: Speed of the serial line.
-        timeout: Wall-clock seconds that an answer may take, each time it is asked for.
-        clock: the robot's clock; the virtual lab hands in its own.
+        timeout: Wall-clock seconds that an answer may take, at each attempt.
+        clock: the robot's clock; the virtual lab gives its own.
 
     Attributes:
         greeting: the robot's description of itself; None before it is connected.
@@ -66,7 +66,7 @@ class Lines:
         self.reboots = 0
         self.stamp = 0.0
         self._timeout = timeout
-        # A line end first: half a request must not stand before the stop.
+        # A line end first, so that half a request does not precede the stop.
         self._line = SerialLine(port, baud=baud, farewell=b"\nstop\n")
         self._number = 0
         self._stamp_ms: int | None = None
@@ -74,7 +74,7 @@ class Lines:
         self._counts: list[int] = []
 
     def connect(self) -> None:
-        """Open the line, ask the robot what it is, which stops it.
+        """Open the line, and ask for the robot's description, which stops it.
 
         Raises:
             RobotError: if the port cannot be opened, nothing answers, or something else does.
@@ -87,7 +87,7 @@ class Lines:
         self._has(self.greeting)
 
     def close(self) -> None:
-        """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C."""
+        """Stop the robot if the line is still open, and close it; raises only Ctrl-C."""
         self._line.hang_up(self.stop)
 
     @property
@@ -96,7 +96,7 @@ class Lines:
         return self._known().commands
 
     def drive(self, command: Sequence[float]) -> None:
-        """Set a command's numbers, in the robot's own units, for as long as it lets one last.
+        """Set a command's numbers, in the robot's own units, for the longest possible duration.
 
         Raises:
             UserError: if a number is beyond the robot's limits.
@@ -105,12 +105,12 @@ class Lines:
         self._send_command(command, self._known().longest)
 
     def drive_for(self, command: Sequence[float], seconds: float) -> None:
-        """Set a command's numbers as :meth:`drive` does; it is to last so long (s).
+        """Set a command's numbers, like :meth:`drive`, for a duration (s).
 
         Without another command the robot stops by itself :data:`LATE` later.
 
         Raises:
-            UserError, LinkLost: as :meth:`drive` does, and for a time longer than the robot takes.
+            UserError, LinkLost: as :meth:`drive`, and for a duration beyond the robot's limit.
         """
         longest = self._known().longest
         if not 0 < seconds <= longest:
@@ -130,7 +130,7 @@ class Lines:
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
-        """Names of the sensors, in the order in which the robot says them."""
+        """Names of the sensors, in the robot's order."""
         return () if self.greeting is None else tuple(one.name for one in self.greeting.sensors)
 
     def read_sensors(self) -> dict[str, float]:
@@ -170,7 +170,7 @@ class Lines:
         self.close()
 
     def _has(self, greeting: Greeting) -> None:
-        """Take on the capabilities that the robot has."""
+        """Add the robot's abilities to this object."""
         self._zeros = [0] * len(greeting.counters)
         self._counts = [0] * len(greeting.counters)
         if greeting.lamp:
@@ -210,7 +210,7 @@ class Lines:
         return self._counts[0], self._counts[1]
 
     def _set_counts(self, left: int, right: int) -> None:
-        """Set both counters, in pulses; the robot's own go on."""
+        """Set both counters, in pulses; the robot's own are not changed."""
         counts = self._read_counts()
         for place, value in enumerate((int(left), int(right))):
             self._zeros[place] += counts[place] - value
@@ -222,17 +222,17 @@ class Lines:
         return self.greeting
 
     def _read(self) -> list[int]:
-        """Return sensors, counters and battery (mV) as the robot gives them."""
+        """Return sensors, counters and battery (mV) in the robot's form."""
         count = self._known().values
         answer = self._ask("read", count + 2)
         return [int(word) for word in answer[1:]]
 
     def _ask(self, request: str, count: int = 1) -> list[str]:
-        """Send a request; return the words of its answer behind the time, however often it takes.
+        """Send a request, repeatedly if necessary; return the words after the time in its answer.
 
         Args:
             request: without its number.
-            count: words that the answer has, the time among them; all but the first word's name.
+            count: number of words of the answer with the time, without the first word.
         """
         refused = ""
         for _ in range(TRIES):
@@ -253,12 +253,12 @@ class Lines:
 
     def _send(self, request: str) -> str:
         self._number = self._number % LAST_NUMBER + 1
-        # A line end first: what is left of a line that was cut is a line of its own.
+        # A line end first, so that the rest of a cut line is a separate line.
         self._line.write(b"\n" + encode(f"{self._number} {request}"))
         return str(self._number)
 
     def _answer(self, number: str, count: int) -> tuple[list[str] | None, str]:
-        """Return the numbers of an answer behind its time, or None and why it was refused."""
+        """Return the numbers after an answer's time, or None and the reason of its rejection."""
         end = time.monotonic() + self._timeout
         seconds = self._timeout
         while (line := self._line.read_line(seconds)) is not None:
@@ -266,7 +266,7 @@ class Lines:
             if self._notice_reboot(words):
                 return None, "it restarted"
             if words and len(words) > 1 and words[1] == "error" and words[0] in (number, "0"):
-                if words[2:] == ["checksum"]:  # it heard something else than was sent
+                if words[2:] == ["checksum"]:  # it received another text than was sent
                     return None, ""
                 return None, "it answers " + " ".join(words[2:])
             if words and words[0] == number and words[1:2] in (["ok"], ["read"]):
@@ -278,7 +278,7 @@ class Lines:
         return None, ""
 
     def _take_stamp(self, milliseconds: int) -> None:
-        # The robot's 32 bits begin again after 49 days.
+        # The robot's 32-bit time wraps after 49 days.
         if self._stamp_ms is None:
             self.stamp = milliseconds / 1000
         else:
@@ -295,7 +295,7 @@ class Lines:
         return True
 
     def _first_answer(self) -> Greeting:
-        """Return the robot's greeting; a board that is just being reset is waited for."""
+        """Return the robot's greeting; wait for a board that is being reset."""
         heard: list[bytes] = []
         end = time.monotonic() + max(BOOT, TRIES * self._timeout)
         while time.monotonic() < end:
@@ -321,7 +321,7 @@ class Lines:
         )
 
     def _greeting(self, number: str, heard: list[bytes]) -> list[list[str]] | None:
-        """Return the words of all lines of the greeting, or None where one is missing."""
+        """Return the words of all lines of the greeting, or None if one is missing."""
         end = time.monotonic() + self._timeout
         lines: list[list[str]] = []
         while (line := self._line.read_line(max(end - time.monotonic(), 0.0))) is not None:
@@ -329,7 +329,7 @@ class Lines:
             if words and words[0] == number and len(words) > 1:
                 if words[1] == "ok" and len(words) == 4 and words[2].isdigit():
                     self._take_stamp(int(words[2]))
-                    # It says how many lines there were: none may be missing.
+                    # It contains the number of lines: none may be missing.
                     return lines if words[3] == str(len(lines)) else None
                 lines.append(words[1:])
                 end = time.monotonic() + self._timeout

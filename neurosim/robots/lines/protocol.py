@@ -1,4 +1,4 @@
-"""The text-line protocol of docs/lines.md: checksums, and what a robot says of itself."""
+"""The text-line protocol of docs/lines.md: checksums, and a robot's description of itself."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from dataclasses import dataclass, field
 
 from neurosim.base.commands import BODIES, Commands, Number
 
-#: Of the protocol.
+#: Version of the protocol.
 VERSION = "1"
-#: No request is longer, its checksum included.
+#: Longest request, including its checksum.
 LONGEST = 96
-#: Places that a command has for its numbers.
+#: Largest number of numbers of a command.
 MOST = 6
-#: Stands among the words of a virtual robot's first line.
+#: A word in a virtual robot's first line.
 VIRTUAL = "virtual"
 
 
 class GreetingError(ValueError):
-    """A greeting that does not follow the protocol; its text says where."""
+    """A greeting that does not follow the protocol; the text names the line."""
 
 
 def checksum(text: bytes) -> int:
-    """Return the checksum of a line: CRC-16/CCITT-FALSE, as 4 hexadecimal digits behind ``*``."""
+    """Return the checksum of a line: CRC-16/CCITT-FALSE, as ``*`` and 4 hexadecimal digits."""
     return crc_hqx(text, 0xFFFF)
 
 
@@ -35,7 +35,7 @@ def encode(text: str) -> bytes:
 
 
 def decimal(value: float) -> str:
-    """Return a number as requests have it: at most 4 decimals, no exponent."""
+    """Return a number as text for requests: at most 4 decimals, no exponent."""
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
@@ -56,9 +56,9 @@ class Sensor:
     """A sensor: readings are whole numbers from 0 to ``full``.
 
     Attributes:
-        name: as controllers name it.
+        name: its name for controllers.
         full: largest reading.
-        place: where it is and looks, as far as the robot says so: x, y (m, robot's frame), angle
+        place: position and direction, if the robot gives them: x, y (m, robot's frame), angle
             (degrees to the left of straight ahead).
     """
 
@@ -82,11 +82,11 @@ class Greeting:
     Attributes:
         name: of the robot, one word.
         firmware: of its program, one word.
-        commands: what it takes.
-        longest: how long a command may last, s.
+        commands: its commands.
+        longest: longest duration of a command, s.
         sensors: in the order of readings.
         counters: in their order.
-        lamp: whether it has one.
+        lamp: whether it has a lamp.
         battery: whether it knows its voltage.
         virtual: whether it is one of the virtual lab.
     """
@@ -103,7 +103,7 @@ class Greeting:
 
     @property
     def values(self) -> int:
-        """How many numbers follow the time and the rest in the answer to ``read``."""
+        """Number of numbers after the time and the rest in the answer to ``read``."""
         return len(self.sensors) + len(self.counters) + self.battery
 
     def lines(self) -> list[str]:
@@ -128,7 +128,7 @@ class Greeting:
         """Return a greeting from its lines, split into words; other lines are ignored.
 
         Raises:
-            GreetingError: naming the line that is not as it must be.
+            GreetingError: naming the wrong line.
         """
         parts = _GreetingParts()
         for words in lines:

@@ -1,4 +1,4 @@
-"""Bluetooth for nxt-python by Python's own sockets; PyBluez, which it asks for, is no more.
+"""Bluetooth for nxt-python by Python's own sockets, because its PyBluez is no longer maintained.
 
 Use it as any back end of nxt-python::
 
@@ -38,7 +38,7 @@ _WHY = {
 
 
 class BluetoothSock:
-    """A brick's serial port over RFCOMM: telegrams behind their length, 2 bytes, low first."""
+    """A brick's serial port over RFCOMM: telegrams after their length, 2 bytes, low first."""
 
     #: Block size, as nxt-python's own.
     bsize = 118
@@ -56,7 +56,7 @@ class BluetoothSock:
         """Connect and return the brick.
 
         Raises:
-            RobotError: without Bluetooth here, or without an answer there.
+            RobotError: if this computer has no Bluetooth, or the brick does not answer.
         """
         family = getattr(socket, "AF_BLUETOOTH", None)
         protocol = getattr(socket, "BTPROTO_RFCOMM", None)
@@ -92,7 +92,7 @@ class BluetoothSock:
         self._sock.sendall(struct.pack("<H", len(data)) + data)
 
     def recv(self) -> bytes:
-        """Receive one telegram, however many pieces it comes in.
+        """Receive one telegram, in any number of pieces.
 
         Raises:
             ConnectionError: if the connection ends before the telegram does.
@@ -118,7 +118,7 @@ class Backend:
     ) -> Iterator[nxt.brick.Brick]:
         """Yield the brick at a Bluetooth address; other parameters are ignored.
 
-        Python's sockets cannot look for devices, so the address must be given. The brick
+        Python's sockets cannot search for devices, so the address must be given. The brick
         shows it under Settings, NXT Version.
 
         Raises:
@@ -138,5 +138,5 @@ class Backend:
 
 
 def get_backend() -> Backend:
-    """Return the back end, as nxt-python's locator asks for it."""
+    """Return the back end for nxt-python's locator."""
     return Backend()

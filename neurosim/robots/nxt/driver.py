@@ -31,25 +31,25 @@ FULL_SCALE = 1023
 #: A sensor whose type was just set needs up to 0.4 s (the colour sensor) to give a value.
 VALID_WITHIN = 2.0
 POLL_EVERY = 0.02
-#: The brick switches itself off after some minutes, 2 at the least, and commands alone do not
-#: keep it from that.
+#: The brick switches itself off after some minutes, at least 2, and commands alone do not prevent
+#: this.
 KEEP_AWAKE_EVERY = 45.0
 
-#: A brick that does not answer as it should is told to stop so often, so many seconds apart: what
-#: is lost on the line once need not be lost each time.
+#: Number of stops sent to a brick that does not answer correctly, and the seconds between them,
+#: because not every telegram is lost.
 STOPS, STOP_EVERY = 4, 0.03
-#: A command's limit: degrees that a motor turns in a second at 1 %, more than it ever does, and
-#: seconds that the next command may be late.
+#: A command's limit: degrees per second at 1 %, more than any motor turns, and seconds that the
+#: next command may be late.
 DEGREES, LATE = 12.0, 1.0
-#: A command without a duration lasts so long, s, unless another one follows.
+#: Duration of a command without one, s, unless another one follows.
 LONGEST = 60.0
-#: Both motors are asked whether they took a command that lasts so long, s; of shorter ones, which
-#: the next one soon replaces, one motor in turn.
+#: Duration, s, from which both motors are asked whether they took a command; for shorter ones,
+#: which are soon replaced, one motor in turn.
 ASK_BOTH = 0.5
-#: Stands for all motor ports.
+#: The number for all motor ports.
 ALL_PORTS = 0xFF
 
-#: Bluetooth addresses of virtual bricks begin so: locally administered, no maker sells them.
+#: Beginning of virtual bricks' Bluetooth addresses: locally administered, so no real brick has it.
 VIRTUAL_ADDRESS = "02:16:53"
 
 _LINKS = {
@@ -59,7 +59,7 @@ _LINKS = {
     "server_port": "nxt-server",
 }
 _HELD = Mode.ON | Mode.BRAKE | Mode.REGULATED
-#: Percent, without regulation, at which no motor turns.
+#: Power in percent, without regulation, at which no motor turns.
 _IDLING = 1
 _LAMP_ON, _LAMP_OFF = SensorType.COLOR_RED, SensorType.COLOR_NONE
 
@@ -72,8 +72,8 @@ class NXT:
     :class:`neurosim.robots.base.Robot`, ``SelfStopping``, ``Battery``, ``Sensors`` and, with a
     lamp, ``Lamp``.
 
-    When the brick's replies fail, are late or say that a command was not taken, motors get a stop,
-    several times, without waiting for an answer. All commands end by themselves, wherever the line
+    When the brick's replies fail, are late or report that a command was not taken, the motors get a
+    stop, several times, without waiting for an answer. All commands end by themselves if the line
     is cut: each motor has a limit, or stands, after every telegram.
 
     Args:
@@ -87,18 +87,17 @@ class NXT:
             sensor port 3; or none.
         light_left: Port of the left light sensor, 1 to 4, or none.
         light_right: Port of the right light sensor, 1 to 4, or none.
-        light_ahead: The light sensors are so far ahead of the axle, m.
-        light_aside: The light sensors are so far to either side of the robot's middle, m.
-        invert: The motors are mounted the other way round: forward turns them backward.
-        clock: the robot's clock; the virtual lab hands in its own.
-        deadline: Wall-clock seconds after which a silent brick counts as lost; a robot that answers
-            later drives unguarded meanwhile.
+        light_ahead: Distance of the light sensors ahead of the axle, m.
+        light_aside: Distance of the light sensors to either side of the robot's middle, m.
+        invert: The motors are mounted in reverse: forward turns them backward.
+        clock: the robot's clock; the virtual lab gives its own.
+        deadline: Wall-clock seconds after which a silent brick counts as lost; the robot drives
+            unguarded meanwhile.
 
     Attributes:
-        alone: whether the brick may have to do without this program, and may have been left
-            running by an earlier one: it is stopped when it is connected, commands have limits, and
-            both motors are asked. The virtual lab's, which lives and dies with the program, sets it
-            to False.
+        alone: whether the brick may outlive this program, and may still run a command of an earlier
+            one: then it is stopped on connecting, commands have limits, and both motors are asked.
+            The virtual lab, which ends with the program, sets it to False.
 
     Raises:
         UserError: if a port does not exist or is given twice.
@@ -153,10 +152,10 @@ class NXT:
         self.alone = True
 
     def connect(self) -> None:
-        """Open the line, ask the brick who it is, and switch its sensors on.
+        """Open the line, ask for the brick's name, and switch its sensors on.
 
         Raises:
-            RobotError: if there is no brick: no line, nothing on it, or something else.
+            RobotError: if the line cannot be opened, nothing answers, or something else does.
         """
         if self._brick is not None:
             return
@@ -188,7 +187,7 @@ class NXT:
             raise
 
     def close(self) -> None:
-        """Stop the motors, put the lamps out and close the line; raises nothing but Ctrl-C."""
+        """Stop the motors, switch the lamps off and close the line; raises only Ctrl-C."""
         brick, guard = self._brick, self._guard
         if brick is None:
             return
@@ -207,8 +206,8 @@ class NXT:
     def drive(self, command: Sequence[float]) -> None:
         """Set both motors, in percent of full speed, and return when the brick has taken it.
 
-        The motors turn with the firmware's speed regulation and hold a speed, also that of
-        zero, until the next call, at most for a minute. Percentages are rounded to whole ones.
+        The motors turn with the firmware's speed regulation and keep a speed, also zero, until the
+        next call, at most for a minute. Percentages are rounded to whole ones.
 
         Raises:
             UserError: for a speed that is not within -100 to 100.
@@ -218,11 +217,11 @@ class NXT:
         self._drive(*command, LONGEST)
 
     def drive_for(self, command: Sequence[float], seconds: float) -> None:
-        """Set both motors as :meth:`drive` does, for a command that is to last so long (s).
+        """Set both motors, like :meth:`drive`, for a duration (s).
 
-        Without another command each motor stops once it has turned as far as it could at these
-        speeds in that time and a second more: at the latest after 1.2 times as long, later only
-        where it is slower than it should be.
+        Without another command each motor stops by its limit, the largest possible rotation at this
+        speed in that time plus a second. It stops at the latest after 1.2 times that time, or later
+        if it is slower than commanded.
 
         Raises:
             UserError, LinkLost, RobotError: as :meth:`drive` does.
@@ -235,9 +234,9 @@ class NXT:
         limits = [0, 0]
         if self.alone:
             limits = [math.ceil(DEGREES * abs(power) * (seconds + LATE)) for power in speeds]
-            # The firmware counts a limit from where the last one would have ended, unless the
-            # motor ran without one in between (dOutputTachoLimitControl of LEGO's d_output.c):
-            # without one it runs at a power that does not move it, should the line be cut here.
+            # The firmware counts a limit from where the last one would have ended, unless the motor
+            # ran without one in between (dOutputTachoLimitControl of LEGO's d_output.c). So it
+            # first runs without a limit, at a power that does not move it if the line is cut here.
             for port, power in wheels:
                 if power:
                     self._set_motor(port, _IDLING, mode=Mode.ON)
@@ -250,7 +249,7 @@ class NXT:
         self._acknowledge(taken if self.alone else taken[1:])
 
     def stop(self) -> None:
-        """Stop both motors; the regulation holds them where they are.
+        """Stop both motors; the regulation holds them.
 
         Raises:
             RobotError: if the brick does not acknowledge it; the stop was then sent several times.
@@ -262,7 +261,7 @@ class NXT:
             raise
 
     def _halt(self) -> None:
-        """Tell all motors to stop, several times, whatever became of the line; never raises."""
+        """Send a stop to all motors, several times, in any state of the line; never raises."""
         if self._guard is None:
             return
         telegram = Telegram(Opcode.DIRECT_SET_OUT_STATE, reply_req=False)
@@ -295,9 +294,9 @@ class NXT:
         return self._ask(self._connected().get_battery_level) / 1000.0
 
     def odometry(self) -> tuple[float, float]:
-        """Return how far the left and the right motor have turned, in degrees, forward positive.
+        """Return the rotation of the left and the right motor, in degrees, forward positive.
 
-        The zero is where the brick was switched on or last ran a program.
+        It is zero when the brick is switched on or has run a program.
         """
         brick = self._connected()
         left, right = (
@@ -307,9 +306,9 @@ class NXT:
         return float(left), float(right)
 
     def describe(self) -> dict[str, Any]:
-        """Return kind, ports, kind of link and, once connected, who the brick is.
+        """Return kind, ports, kind of link and, after connecting, the brick's name.
 
-        Not which device file or server: the same robot may come by another one tomorrow.
+        Device file and server are left out, because they may change for the same robot.
         """
         lamp = self._lamp
         return {
@@ -347,7 +346,7 @@ class NXT:
         return self._brick
 
     def _ask(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Call a method of nxt-python's brick; whatever goes wrong becomes one sentence."""
+        """Call a method of nxt-python's brick; turn every error into one sentence."""
         try:
             return function(*arguments)
         except (nxt.error.SystemProtocolError, nxt.error.DirectProtocolError) as error:
@@ -372,10 +371,10 @@ class NXT:
         )
 
     def _acknowledge(self, commands: list[tuple[MotorPort, int, int]]) -> None:
-        """Ask motors for the power and the limit that they took, after all that was sent before.
+        """Ask motors for the power and the limit that they took, after all earlier telegrams.
 
         Raises:
-            RobotError: if they are others; the motors got a stop.
+            RobotError: if they differ; the motors got a stop.
         """
         if self.clock.now() - self._kept_awake > KEEP_AWAKE_EVERY:
             telegram = Telegram(Opcode.DIRECT_KEEP_ALIVE, reply_req=False)
@@ -395,7 +394,7 @@ class NXT:
         self._read_valid(port, type_)
 
     def _read_valid(self, port: SensorPort, type_: SensorType) -> int:
-        """Return the normalised value, once the brick calls it valid and of this type."""
+        """Return the normalised value after the brick marks it as valid and of this type."""
         end = self.clock.now() + VALID_WITHIN
         while True:
             values = self._ask(self._connected().get_input_values, port)

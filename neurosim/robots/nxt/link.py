@@ -1,7 +1,7 @@
-"""The ways to an NXT brick, each through a back end of nxt-python, and a guard on the line.
+"""The connections to an NXT brick, each through a back end of nxt-python, and a guard on the line.
 
-nxt-python waits for ever on a brick that has fallen silent. The guard gives every reply a
-deadline and turns silence, a closed line and bytes that are no reply into one sentence.
+nxt-python waits for ever for a silent brick. The guard gives every reply a deadline, and turns
+silence, a closed line and wrong bytes into one sentence.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from neurosim.robots.nxt import bluetooth
 
 T = TypeVar("T")
 
-#: No telegram that a brick sends is longer.
+#: Longest telegram of a brick.
 LONGEST_REPLY = 128
 #: Seconds that the opening of a device file may take; over Bluetooth it pages the brick.
 OPEN_WITHIN = 30.0
-#: Seconds that the sending of a telegram may take over a line that was given up.
+#: Seconds that sending a telegram may take over a line that was given up.
 POST_WITHIN = 0.25
-#: Why a line is given up whose bytes make no sense.
+#: Reason for giving up a line with wrong bytes.
 GARBAGE = "it does not send LEGO's protocol"
 _REPLY, _NO_REPLY = 0x02, 0x80
 
@@ -41,15 +41,15 @@ _CONNECTIONS = (
 
 
 class Guard:
-    """Stands in for nxt-python's socket object: whole replies within a deadline, or LinkLost.
+    """Replaces nxt-python's socket object: gives complete replies within a deadline, or LinkLost.
 
     Args:
         sock: nxt-python's object, connected.
-        place: where the brick is, in the words of an error: "on /dev/rfcomm0".
+        place: words for the connection in an error: "on /dev/rfcomm0".
         deadline: wall-clock seconds that a reply, or the sending of a telegram, may take.
 
     Attributes:
-        lost: why the line was given up, or None while it stands.
+        lost: reason why the line was given up, or None while it works.
     """
 
     def __init__(self, sock: Any, place: str, deadline: float):
@@ -71,11 +71,11 @@ class Guard:
     def send(self, data: bytes) -> None:
         """Send one telegram.
 
-        Before one that asks for a reply, the reply to an earlier one whose reader was
-        interrupted (Ctrl-C) is read and dropped.
+        Before a telegram that asks for a reply, a pending reply of an interrupted call (Ctrl-C) is
+        read and dropped.
 
         Raises:
-            LinkLost: if the line takes no more, or has failed before.
+            LinkLost: if the line accepts no more bytes, or has failed before.
         """
         asks = not data[0] & _NO_REPLY
         while asks and self._owed:
@@ -91,8 +91,8 @@ class Guard:
         """Return the next reply.
 
         Raises:
-            LinkLost: if none comes within the deadline, the line closes, or what comes is
-                no reply.
+            LinkLost: if none comes within the deadline, the line closes, or the bytes are not a
+                reply.
         """
         self._check()
         try:
@@ -106,10 +106,10 @@ class Guard:
         return reply
 
     def post(self, data: bytes) -> None:
-        """Send a telegram that asks for no reply, whatever became of the line; never raises.
+        """Send a telegram that asks for no reply, in any state of the line; never raises.
 
-        Only a stop is sent this way: replies that are missing or make no sense do not mean that
-        the brick does not hear.
+        Only a stop is sent like this: the brick may still receive it, even if its replies are
+            missing or wrong.
         """
         deadline, self._deadline = self._deadline, min(self._deadline, POST_WITHIN)
         try:
@@ -199,8 +199,8 @@ def open_brick(
         deadline: seconds that any reply may take.
 
     Returns:
-        nxt-python's brick, its ``_sock`` behind a :class:`Guard`. Nothing was asked of it
-        yet: what answers need not be a brick.
+        nxt-python's brick, with its ``_sock`` behind a :class:`Guard`. It was not asked yet, so it
+        may be another device.
 
     Raises:
         RobotError: if the line cannot be opened.
@@ -238,7 +238,7 @@ def _open_device(filename: str) -> nxt.brick.Brick:
 
     try:
         brick = _within(OPEN_WITHIN, lambda: _connect(sock))
-        # What an earlier program left unread would be taken for the first reply.
+        # Unread bytes of an earlier program would be mistaken for the first reply.
         termios.tcflush(sock._device, termios.TCIOFLUSH)
     except TimeoutError:
         raise RobotError(
@@ -266,9 +266,10 @@ def _open_device(filename: str) -> nxt.brick.Brick:
 
 
 def _connect(sock: Any) -> nxt.brick.Brick:
-    """Open as the device-file socket's own connect does, but never as controlling terminal.
+    """Open like the device-file socket's own connect, but never as controlling terminal.
 
-    A session's leader (a notebook's kernel, a service) would be hung up on when the line closes.
+    Otherwise a session leader (a notebook's kernel, a service) would get a hang-up when the line
+    closes.
     """
     import fcntl
     import tty
@@ -277,17 +278,17 @@ def _connect(sock: Any) -> nxt.brick.Brick:
         return os.open(path, flags | os.O_NOCTTY)
 
     sock._device = open(sock._filename, "r+b", buffering=0, opener=opener)  # noqa: SIM115
-    # For this program alone, as pyserial does it: two of them would drive one robot.
+    # For this program alone, like pyserial: two programs must not drive one robot.
     fcntl.flock(sock._device, fcntl.LOCK_EX | fcntl.LOCK_NB)
     tty.setraw(sock._device)
     return nxt.brick.Brick(sock)
 
 
 def _within(seconds: float, function: Callable[[], T]) -> T:
-    """Call a function that may block for ever, as opening a line without a carrier does.
+    """Call a function that may block for ever, such as opening a line without a carrier.
 
     Raises:
-        TimeoutError: if it has not returned in time; it is left behind in its thread.
+        TimeoutError: if it has not returned in time; it continues in its thread.
     """
     outcome: list[tuple[T | None, BaseException | None]] = []
 
@@ -313,7 +314,7 @@ def _open_server(host: str, port: int, deadline: float) -> nxt.brick.Brick:
 
     sock = SocketSock(host, port)
     try:
-        # What SocketSock.connect does, with a deadline.
+        # Like SocketSock.connect, with a deadline.
         sock._sock = socket.create_connection((host, port), timeout=deadline)
         sock._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         sock.send(b"\x98")

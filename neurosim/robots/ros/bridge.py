@@ -1,9 +1,9 @@
 """A client of rosbridge: topics of ROS as JSON over a WebSocket, protocol version 2.
 
-After ROSBRIDGE_PROTOCOL.md and the sources of rosbridge_suite for ROS 2. That server does not tell
-its client when it drops a message: it writes a line into its own log. So the client first asks the
-node rosapi whether a topic exists, of which type it is, and who is at its other end. Other servers
-send a ``status``; it is raised as an error.
+It follows ROSBRIDGE_PROTOCOL.md and the sources of rosbridge_suite for ROS 2. That server does not
+notify its client of a dropped message: it only writes to its log. So the client first asks the node
+rosapi whether a topic exists, for its type, and for the nodes at its other end. Other servers send
+a ``status``; it is raised as an error.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from typing import Any, TypeVar
 from neurosim.base.errors import LinkLost, RobotError
 from neurosim.robots.ros.websocket import WebSocketEnd
 
-#: A service of ROS answers within this time, s: rosapi asks each node of the graph.
+#: Longest time of a ROS service, s: rosapi asks each node of the graph.
 SERVICE = 5.0
-#: What is not read at once is read in pieces of so many bytes.
+#: Number of bytes of a read.
 _PIECE = 65_536
-#: Reads after which what has come already is taken to have come.
+#: Largest number of reads of waiting bytes.
 _AT_MOST = 64
 
 T = TypeVar("T")
 
 
 class Bridge:
-    """A connection to a rosbridge. One thread at a time uses it; others wait.
+    """A connection to a rosbridge, which one thread uses at a time.
 
     Args:
         url: of the server, such as ``ws://localhost:9090``.
-        timeout: Wall-clock seconds that the server may take to acknowledge what it is sent.
+        timeout: Wall-clock seconds that the server may take to acknowledge messages.
 
     Attributes:
-        farewell: topic and message that are sent where the connection is given up, or None; no
-            acknowledgement is waited for.
+        farewell: topic and message that are sent when the connection is given up, or None; without
+            waiting for an acknowledgement.
     """
 
     def __init__(self, url: str, timeout: float):
@@ -59,14 +59,14 @@ class Bridge:
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection stands."""
+        """Whether the connection is open."""
         return self._socket is not None
 
     def open(self) -> None:
         """Connect.
 
         Raises:
-            RobotError: if nothing listens there, or what listens is no WebSocket.
+            RobotError: if nothing listens there, or it is not a WebSocket.
             UserError: if the address is wrong.
         """
         end = WebSocketEnd(self.url)
@@ -111,7 +111,7 @@ class Bridge:
         """Call a service; return its values.
 
         Raises:
-            RobotError: if the service is not there, or fails.
+            RobotError: if the service does not exist, or fails.
             LinkLost: if the connection is gone.
         """
         with self._lock:
@@ -130,17 +130,17 @@ class Bridge:
         return values
 
     def advertise(self, topic: str, kind: str) -> None:
-        """Say that messages of a type will be published on a topic.
+        """Announce messages of a type on a topic.
 
         Raises:
-            RobotError: if the server says that it does not take them.
+            RobotError: if the server rejects them.
         """
         with self._lock:
             self._say({"op": "advertise", "id": self._next(), "topic": topic, "type": kind})
             self.sync()
 
     def unadvertise(self, topic: str) -> None:
-        """Say that nothing more will be published."""
+        """End the announcement of a topic."""
         with self._lock:
             self._say({"op": "unadvertise", "topic": topic})
             self.sync()
@@ -149,7 +149,7 @@ class Bridge:
         """Publish a message; return when the server has it.
 
         Raises:
-            RobotError: if the server says that it does not take it.
+            RobotError: if the server rejects it.
             LinkLost: if it does not acknowledge it, or the connection is gone.
         """
         with self._lock:
@@ -159,13 +159,13 @@ class Bridge:
     def subscribe(
         self, topic: str, kind: str, every: float, take: Callable[[dict[str, Any]], None]
     ) -> None:
-        """Have messages of a topic taken as they are read.
+        """Call a function with the messages of a topic when they are read.
 
         Args:
             topic: its name.
             kind: type of its messages.
-            every: no more than one message in this time, s.
-            take: is called with each message, in the thread of the bridge's user.
+            every: shortest time between two messages, s.
+            take: called with each message, in the thread of the bridge's user.
         """
         with self._lock:
             self._takers[topic] = take
@@ -174,7 +174,7 @@ class Bridge:
             self.sync()
 
     def sync(self) -> None:
-        """Return when the server has all that was sent, and what it sent before that is taken.
+        """Wait until the server has all sent messages, and its own earlier messages are taken.
 
         Raises:
             RobotError: if it rejected a message.
@@ -194,14 +194,14 @@ class Bridge:
             self._raise_refusal()
 
     def poll(self) -> None:
-        """Take what has come, without waiting."""
+        """Take the received messages, without waiting."""
         with self._lock:
             self._until(lambda: None, 0.0)
 
     def lose(self, why: str) -> LinkLost:
         """Close the connection for good and return the error, which later calls raise again.
 
-        First the farewell is sent: that nothing comes back does not mean that nothing arrives.
+        First the farewell is sent: it may arrive even if no answer comes back.
         """
         with self._lock:
             farewell, self.farewell = self.farewell, None
@@ -244,12 +244,12 @@ class Bridge:
             raise self._cut(str(error)) from None
 
     def _until(self, wanted: Callable[[], T | None], seconds: float) -> T | None:
-        """Take what comes until something is found, and return it; None if it is not in time."""
+        """Take messages until a search succeeds, and return its result; None after the deadline."""
         until, reads = time.monotonic() + seconds, 0
         while True:
             answer = wanted()
             left = max(until - time.monotonic(), 0.0)
-            # Bounded: what floods the line must not keep us here for ever.
+            # Bounded, so that a flood of messages cannot block this thread.
             reads = 0 if left else reads + 1
             if answer is not None or reads > _AT_MOST:
                 return answer

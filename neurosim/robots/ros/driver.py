@@ -21,18 +21,18 @@ from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.ros.bridge import Bridge
 from neurosim.robots.ros.laser import SCAN, Sectors
 
-#: A command without a duration is repeated for so long, s.
+#: Time for which a command without a duration is repeated, s.
 LONGEST = 60.0
 #: Counters count tenths of a millimetre.
 PER_METRE = 10_000.0
-#: Odometry and scans come no more often than this, s; where none come for so long, s, they are
-#: missed.
+#: Shortest time between two messages of odometry or scans, s; and time after which they count as
+#: missing.
 EVERY, WITHIN = 0.02, 2.0
-#: The thread that repeats commands.
+#: Name of the thread that repeats commands.
 REPEATS = "ros repeats"
-#: The node of the virtual lab.
+#: Name of the virtual lab's node.
 VIRTUAL = "/neurosim_lab"
-#: What says that a topic is not wanted.
+#: Name that stands for no topic.
 NONE = "none"
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -42,14 +42,14 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 Velocity = Annotated[float, Meta(ge=0.001, le=20)]
 TurnRate = Annotated[float, Meta(ge=0.001, le=50)]
 Rate = Annotated[float, Meta(ge=1, le=100)]
-#: Sensors of a laser; degrees.
+#: Number of sensors of a laser; degrees.
 SectorCount = Annotated[int, Meta(ge=1, le=72)]
 Degrees = Annotated[float, Meta(ge=-360, le=360)]
 
 
 @dataclass
 class _Held:
-    """A command that is being repeated: its numbers, when it is due again, and until when (s)."""
+    """A command that is being repeated: its numbers, its next time, and its end (s)."""
 
     numbers: tuple[float, ...]
     due: float
@@ -58,13 +58,13 @@ class _Held:
 
 @dataclass
 class _Feed:
-    """A topic whose messages must go on coming.
+    """A topic whose messages must continue to come.
 
     Attributes:
         topic: its name.
-        option: what names it.
-        source: of the messages.
-        seen: when one was last taken, s; None: none has come yet.
+        option: the option for its name.
+        source: the node that publishes it, in words.
+        seen: time of the last message, s; None: there was none yet.
     """
 
     topic: str
@@ -76,20 +76,20 @@ class _Feed:
 class Ros:
     """A base that ROS 2 drives, behind a rosbridge: a forward velocity and a turn rate.
 
-    Follows :class:`neurosim.robots.base.Robot` and, with odometry, ``Counters``: they count how far
-    the wheels of a base of this radius would have turned. With a laser it follows ``Sensors``.
-    ROS acknowledges no command; one counts as taken when the bridge has it. It is then repeated,
-    because the controllers of most bases stop them when nothing comes for a while. With
-    ``stops_after`` the robot is ``SelfStopping``: the repeats end with the command, and the
-    controller does the rest.
+    Follows :class:`neurosim.robots.base.Robot` and, with odometry, ``Counters``: they count the
+    rotation of virtual wheels on a base of this radius. With a laser it follows ``Sensors``.
+    ROS does not acknowledge commands; a command counts as taken when the bridge has it. It is then
+    repeated, because the controllers of most bases stop after some time without messages. With
+    ``stops_after`` the robot is ``SelfStopping``: the repeats end with the command, and then the
+    controller stops the base.
 
     Args:
         url: Address of the rosbridge.
         cmd_vel: Topic on which the base takes velocities.
         odom: Topic on which the base publishes its odometry; none: it is not read.
         laser: Topic on which a laser publishes its scans, such as /scan; none: they are not read.
-        laser_sectors: Sensors that a scan is divided into: the first looks straight ahead, the
-            others follow to its left.
+        laser_sectors: Number of sensors into which a scan is divided: the first looks straight
+            ahead, the others follow to its left.
         laser_reach: Distance from which on a sensor reads 0, m; nearer it reads more, up to 1.
         laser_turned: Direction of the laser's own 0, degrees to the left of straight ahead.
         stamped: The base takes TwistStamped messages, not Twist.
@@ -101,11 +101,11 @@ class Ros:
             cmd_vel_timeout of a diff_drive_controller: 0.5); by default nothing is known to stop
             it.
         timeout: Wall-clock seconds that the bridge may take to acknowledge a message.
-        clock: the robot's clock; the virtual lab hands in its own.
+        clock: the robot's clock; the virtual lab gives its own.
 
     Attributes:
         pulses_per_metre: of the counters.
-        geometry: radius, and the distance of the wheels that the counters stand for, m.
+        geometry: radius, and the distance of the counters' virtual wheels, m.
     """
 
     pulses_per_metre = PER_METRE
@@ -146,7 +146,7 @@ class Ros:
         self._laser = None if laser == NONE else _Feed(laser, "--laser", "the driver of the laser")
         self._stamped, self._stops_after, self._period = stamped, stops_after, 1 / rate
         self._bridge = Bridge(url, timeout)
-        # Whoever commands and what repeats take turns.
+        # The user's commands and the repeats take turns.
         self._lock = threading.RLock()
         self._held: _Held | None = None
         self._nodes: list[str] = []
@@ -166,10 +166,10 @@ class Ros:
             self.read_sensors = self._read_sensors
 
     def connect(self) -> None:
-        """Connect to the bridge, make sure that the topics are right, and stop the base.
+        """Connect to the bridge, check the topics, and stop the base.
 
         Raises:
-            RobotError: if there is no bridge, a topic has nobody at its other end, or its messages
+            RobotError: if there is no bridge, a topic has no node at its other end, or its messages
                 are of another type.
         """
         if self._bridge.is_open:
@@ -197,7 +197,7 @@ class Ros:
             thread.start()
 
     def close(self) -> None:
-        """Stop the base if the connection still stands, and end it; raises nothing but Ctrl-C."""
+        """Stop the base if the connection is still open, and end it; raises only Ctrl-C."""
         self._closed.set()
         try:
             if self._bridge.is_open:
@@ -217,7 +217,7 @@ class Ros:
         self._hold(command, LONGEST)
 
     def _drive_for(self, command: Sequence[float], seconds: float) -> None:
-        """Set both velocities as :meth:`drive` does; they are to last so long (s).
+        """Set both velocities, like :meth:`drive`, for a duration (s).
 
         Without another command the base's controller stops it ``stops_after`` later.
         """
@@ -272,19 +272,19 @@ class Ros:
             "linear": {"x": v, "y": 0.0, "z": 0.0},
             "angular": {"x": 0.0, "y": 0.0, "z": omega},
         }
-        # The bridge puts its own time into a header without one: that is the base's, too.
+        # The bridge puts its own time, which is also the base's, into a header without one.
         return {"header": {"frame_id": ""}, "twist": twist} if self._stamped else twist
 
     @property
     def due(self) -> float:
-        """When a command is due to be repeated, s on the robot's clock; infinity: none is held."""
+        """Time of the next repeat, s on the robot's clock; infinity: no command is held."""
         held = self._held
         return math.inf if held is None else min(held.due, held.until)
 
     def repeat(self) -> None:
-        """Repeat the command that is held, if it is due; end it after its time."""
+        """Repeat the held command if it is due; end it after its duration."""
         with self._lock:
-            # A clock may be short of a time by its last digits, and sleep no more.
+            # By rounding, a clock may be just before a time and not sleep any more.
             held, now = self._held, self.clock.now() + 1e-6
             if held is None or now < self.due:
                 return
@@ -328,7 +328,7 @@ class Ros:
         return nodes
 
     def _listen(self, feed: _Feed, kind: str, take: Callable[[dict[str, Any]], bool]) -> None:
-        """Have the messages of a topic taken, and wait for the first."""
+        """Subscribe to a topic, and wait for the first message."""
         self._others("publishers", feed.topic, kind, feed.option)
         feed.seen = None
 
@@ -348,10 +348,10 @@ class Ros:
             self._bridge.sync()
 
     def _fresh(self, feed: _Feed) -> None:
-        """Take what has come; see that the messages of a topic go on coming.
+        """Take the received messages; check that a topic's messages continue to come.
 
         Raises:
-            LinkLost: if they do not.
+            LinkLost: if they do not come.
         """
         self._bridge.sync()
         silent = 0.0 if feed.seen is None else self.clock.now() - feed.seen
@@ -362,7 +362,7 @@ class Ros:
             )
 
     def _see(self, message: dict[str, Any]) -> bool:
-        """Take a message of odometry: how far each wheel went since the last; whether it is one."""
+        """Take a message of odometry, and add the wheels' distances; return whether it is valid."""
         try:
             pose = message["pose"]["pose"]
             place, turn = pose["position"], pose["orientation"]
@@ -385,7 +385,7 @@ class Ros:
         """Read both counters, left and right, in pulses.
 
         Raises:
-            LinkLost: if no odometry comes any more.
+            LinkLost: if odometry no longer comes.
         """
         assert self._odom is not None
         with self._lock:
@@ -396,7 +396,7 @@ class Ros:
         return left, right
 
     def _set_counts(self, left: int, right: int) -> None:
-        """Set both counters, in pulses; the base's odometry goes on."""
+        """Set both counters, in pulses; the base's odometry is not changed."""
         self._read_counts()
         self._zeros = self._distances - np.array([int(left), int(right)]) / PER_METRE
 
@@ -404,7 +404,7 @@ class Ros:
         """Read all sensors, by name, from 0 (nothing within reach) to 1 (at the laser).
 
         Raises:
-            LinkLost: if no scans come any more.
+            LinkLost: if scans no longer come.
         """
         assert self._laser is not None
         with self._lock:
@@ -413,7 +413,7 @@ class Ros:
 
 
 class _RepeatingClock:
-    """A clock whose time moves only when somebody sleeps, as the lab's: who sleeps repeats."""
+    """A clock whose time advances only in sleeps, like the lab's; a sleep also repeats commands."""
 
     def __init__(self, clock: Clock, robot: Ros):
         self._clock, self._robot = clock, robot

@@ -1,4 +1,4 @@
-"""A laser scan of ROS as a ring of proximity sensors: the nearest thing in each sector."""
+"""A laser scan of ROS as a ring of proximity sensors: the nearest object in each sector."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ SCAN = "sensor_msgs/msg/LaserScan"
 class Sectors:
     """Divides scans into sectors of equal width: the first looks ahead, the others to its left.
 
-    After sensor_msgs/LaserScan and REP 117: a range outside of the laser's own limits is ignored,
-    and so is null, which rosbridge sends in place of infinity and of what is not a number.
+    By sensor_msgs/LaserScan and REP 117, a range outside of the laser's own limits is ignored, and
+    so is null, which rosbridge sends for infinity and NaN.
 
     Args:
         count: of the sectors.
-        reach: at this distance of the laser and beyond a reading is 0, m.
-        turned: where the laser's own 0 looks, rad to the left of the base's straight ahead.
+        reach: distance from the laser from which on a reading is 0, m.
+        turned: direction of the laser's own 0, rad to the left of the base's straight ahead.
 
     Attributes:
         readings: of the last scan, [S] from 0 (nothing within reach) to 1 (at the laser).
@@ -31,7 +31,7 @@ class Sectors:
         self.readings: NDArray[np.float64] = np.zeros(count)
 
     def take(self, message: dict[str, Any]) -> bool:
-        """Take a scan; return whether it is one."""
+        """Take a scan; return whether it is valid."""
         try:
             first, step = float(message["angle_min"]), float(message["angle_increment"])
             low, high = _number(message["range_min"]), _number(message["range_max"])

@@ -1,4 +1,4 @@
-"""One end of a WebSocket: bytes to messages and back, without a socket and without waiting.
+"""One end of a WebSocket: turns bytes into messages and back, without a socket or waiting.
 
 The protocol itself is that of the package websockets (RFC 6455), in its form without input and
 output. Messages and answers to pings come in the order in which the other end sent them.
@@ -12,15 +12,15 @@ from neurosim.base.errors import UserError
 
 
 class WebSocketEnd:
-    """Takes bytes, gives messages, and has bytes to send.
+    """Turns received bytes into messages, and messages into bytes to send.
 
     Args:
         url: of the server, ``ws://host:port`` or ``wss://host``; None: this end is the server.
 
     Attributes:
         host, port, secure: of the URL.
-        pongs: payloads of the answers to pings that have come.
-        pings: how many pings have come; their answers are among what is to be sent.
+        pongs: payloads of the received answers to pings.
+        pings: number of received pings; their answers are among the bytes to send.
 
     Raises:
         UserError: if the URL is wrong, or the package websockets is missing.
@@ -59,17 +59,17 @@ class WebSocketEnd:
 
     @property
     def is_over(self) -> bool:
-        """Whether the connection is to be closed: both ends have agreed, or it has failed."""
+        """Whether the connection must be closed: both ends have agreed, or it has failed."""
         return bool(self._protocol.close_expected())
 
     @property
     def refusal(self) -> str:
-        """Why the other end is no WebSocket or does not let this one in; empty if it does."""
+        """Reason why the other end is not a WebSocket or rejects this one; empty if it accepts."""
         error = getattr(self._protocol, "handshake_exc", None)
         return "" if error is None else str(error)
 
     def feed(self, data: bytes) -> list[str]:
-        """Take bytes, none where the other end has hung up; return the messages that are whole."""
+        """Take bytes, empty if the other end has hung up; return the complete messages."""
         from websockets.frames import Frame, Opcode
         from websockets.http11 import Request
 
@@ -93,18 +93,18 @@ class WebSocketEnd:
         return texts
 
     def text(self, text: str) -> None:
-        """Have a message sent."""
+        """Queue a message."""
         self._protocol.send_text(text.encode())
 
     def ping(self, payload: bytes) -> None:
-        """Have a ping sent; its answer comes after all that the other end did before."""
+        """Queue a ping; its answer comes after all earlier work of the other end."""
         self._protocol.send_ping(payload)
 
     def close(self) -> None:
-        """Have the end of the connection sent."""
+        """Queue the end of the connection."""
         if self.is_open:
             self._protocol.send_close(1000)
 
     def to_send(self) -> bytes:
-        """Return the bytes that are to be sent now."""
+        """Return the queued bytes."""
         return b"".join(self._protocol.data_to_send())

@@ -1,8 +1,8 @@
-"""Messages of Aseba, as a Thymio II takes and gives them, and programs of its virtual machine.
+"""Messages of Aseba for a Thymio II, and programs of its virtual machine.
 
 A message is three 16-bit words, low byte first (length of the payload, number of the node that
-sends it, type), and the payload. The description of a node says which variables it has, in the
-order of their addresses, and names its events and native functions. After Magnenat, Rétornaz,
+sends it, type), and the payload. The description of a node lists its variables in the order of
+their addresses, its events and native functions. Sources: Magnenat, Rétornaz,
 Bonani, Longchamp and Mondada, ASEBA: a modular architecture for event-based control of complex
 robots, IEEE/ASME Transactions on Mechatronics 16, 2011, and the sources of version 1.6.
 """
@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-#: The version of the protocol that is spoken, and the number of this computer as a node.
+#: Version of the protocol, and the number of this computer as a node.
 VERSION, HOST = 5, 1
-#: No node sends a longer payload; what says so is garbage.
+#: Longest payload of a node; a longer one is garbage.
 LONGEST = 1024
 
 DESCRIPTION, VARIABLE, EVENT, NATIVE = 0x9000, 0x9001, 0x9002, 0x9003
@@ -24,7 +24,7 @@ VARIABLES, PRESENT = 0x9005, 0x900C
 SET_BYTECODE, RUN = 0xA001, 0xA003
 GET_VARIABLES, SET_VARIABLES = 0xA00B, 0xA00C
 GET_DESCRIPTION, LIST_NODES = 0xA010, 0xA011
-#: Types that nodes send and that mean something here; events of other programs are passed over.
+#: Types of messages that are used here; events of other programs are ignored.
 _FROM_NODES = range(0x9000, 0x9010)
 
 #: Number of the first local event; the others count down from there.
@@ -56,13 +56,13 @@ def encode(type_: int, words: Sequence[int], source: int = HOST) -> bytes:
 
 
 class Reader:
-    """Cuts bytes into messages; what cannot begin one is passed over, byte by byte."""
+    """Cuts bytes into messages; bytes that cannot begin one are skipped."""
 
     def __init__(self) -> None:
         self._data = b""
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take bytes; return the messages that are whole."""
+        """Take bytes; return the complete messages."""
         self._data += data
         messages = []
         while len(self._data) >= 6:
@@ -82,9 +82,9 @@ class Description:
     """A node's description of itself, message by message.
 
     Attributes:
-        name: of its kind.
-        addresses: of its variables, by name; an array's is that of its first word.
-        free: address of the first word that no named variable has.
+        name: name of its kind.
+        addresses: addresses of its variables, by name; an array's is that of its first word.
+        free: address of the first word after the named variables.
         events: names of its local events, in order.
         natives: names of its native functions, in order.
     """
@@ -98,14 +98,14 @@ class Description:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing."""
+        """Whether the description is complete."""
         return self._counts == (len(self.addresses), len(self.events), len(self.natives))
 
     def take(self, message: Message) -> None:
-        """Take in a message; others than descriptions change nothing.
+        """Add a message; messages other than descriptions change nothing.
 
         Raises:
-            ValueError: if it is no such message.
+            ValueError: if a description is cut short.
         """
         type_, payload = message.type, message.payload
         try:
@@ -125,7 +125,7 @@ class Description:
 
 
 def _text(data: bytes) -> tuple[str, bytes]:
-    """Return a text behind its length, and what follows it."""
+    """Return a text after its length, and the bytes after it."""
     end = 1 + data[0]
     return data[1:end].decode("ascii", "replace"), data[end:]
 

@@ -1,4 +1,4 @@
-"""Driver of a Thymio II, which is given a small program that stops it by itself."""
+"""Driver of a Thymio II, which loads a small program into it, so that it stops by itself."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from neurosim.robots.thymio.aseba import (
     store,
 )
 
-#: How often something is asked before the robot counts as lost.
+#: Number of requests before the robot counts as lost.
 TRIES = 3
-#: The USB cable has no speed of its own; the number must be one that there is.
+#: The USB cable has no speed; this is any valid baud rate.
 BAUD = 115_200
-#: A command holds for so much longer than it is to last, s: the next one may be a little late.
+#: Extra time of a command, s, because the next one may be a little late.
 LATE = 0.3
-#: A command without a duration holds for so long, s; the robot counts in 16 bits.
+#: Duration of a command without one, s; the robot counts in 16 bits.
 LONGEST = 300.0
-#: The program runs so many times a second, at the event ``motor``.
+#: Runs of the program per second, at the event ``motor``.
 RATE = 100
 #: Full speed in the robot's own unit, and m/s; the body (m, the radius that of its round front);
-#: the ground sensors (m ahead of the axle, to the left) and the proximity sensors (and rad, where
-#: they look) and how far these see (m): as in Enki, the simulator of its makers (Thymio2.cpp).
+#: the ground sensors (m ahead of the axle, to the left) and the proximity sensors (and rad, their
+#: directions) and the range of these (m): as in Enki, the simulator of its makers (Thymio2.cpp).
 FULL, FULL_SPEED = 500, 0.166
 BODY = Geometry(radius=0.08, wheel_base=0.094)
 GROUND = {"line_left": (0.072, 0.0115), "line_right": (0.072, -0.0115)}
@@ -50,25 +50,26 @@ PROXIMITY = np.array([
     (-0.0295, 0.0295, math.pi), (-0.0295, -0.0295, math.pi),
 ])  # fmt: skip
 REACH = 0.14
-#: The robot reads its sensors so often, s (the event ``prox`` of its programming language).
+#: Time between two readings of the robot's sensors, s (the event ``prox`` of its programming
+#: language).
 SCAN = 0.1
-#: What the sensors read at most: something near, and a white ground.
+#: Largest readings of the sensors: near an object, and on a white ground.
 NEAR, WHITE = 4500, 1000
-#: A counter counts one for so much speed, summed up over the runs of the program.
+#: Sum of speeds over the runs of the program for one count.
 PER_COUNT = 32
-#: Firmware of this variant is that of the virtual lab.
+#: Variant of the virtual lab's firmware.
 VIRTUAL = 0x4E53
 
 _NEEDED = ("motor.left.target", "motor.right.target", "motor.left.speed", "motor.right.speed",
            "prox.horizontal", "prox.ground.delta", "_fwversion")  # fmt: skip
-#: Words of the program's own, from the first free address on.
+#: The program's own words, from the first free address on.
 _TOKEN, _LEFT_OVER, _LEFT, _RIGHT, _NUMBER, _LIGHT, _SUMS, _COUNTS, _WORDS = (
     0, 1, 2, 3, 4, 5, 8, 10, 12,
 )  # fmt: skip
 #: Colour of the lamp, red, green and blue of 32.
 _LAMP = (32, 32, 32)
 
-#: Reads after which what has come already is taken to have come.
+#: Largest number of reads of waiting bytes.
 _AT_MOST = 64
 
 T = TypeVar("T")
@@ -78,27 +79,25 @@ class Thymio:
     """A Thymio II on its USB cable, or behind its dongle, in the protocol of Aseba.
 
     Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``SelfStopping``, ``Counters``,
-    ``WholeSpeeds`` and ``Lamp``. As it is connected it is given a program (it replaces one that
-    was loaded, until the robot is switched off) that holds a command for its duration and then
-    stops both wheels, whatever becomes of the computer or the cable. The program also sums up the
-    speeds that the robot measures; these are its counters. They are coarse: the robot has no
-    encoders, it measures the voltage that its motors induce.
+    ``WholeSpeeds`` and ``Lamp``. Connecting loads a program, which replaces a loaded one until the
+    robot is switched off. It holds a command for its duration and then stops both wheels, even if
+    the computer or the cable fails. The program also sums up the measured speeds as counters. They
+    are coarse, because the robot has no encoders and measures its motors' induced voltage.
 
     Args:
         port: Serial port, such as ``/dev/ttyACM0`` or COM3, or a URL such as socket://host:port.
-        node: Number of the robot, where a dongle reaches several; by default the first that
-            answers.
-        timeout: Wall-clock seconds that an answer may take, each time it is asked for.
-        clock: the robot's clock; the virtual lab hands in its own.
+        node: Number of the robot, if a dongle reaches several; by default the first that answers.
+        timeout: Wall-clock seconds that an answer may take, at each attempt.
+        clock: the robot's clock; the virtual lab gives its own.
 
     Attributes:
         geometry: radius and wheel base, m.
         pulses_per_metre: of the counters.
         full_speed: speed at 100 %, in the robot's own unit.
-        speed_unit: the wheel speed that 1 stands for, m/s.
-        angles: where the proximity sensors look, [7] rad counter-clockwise from straight ahead.
-        scan: how often the robot reads its sensors, s.
-        reach: how far the proximity sensors see, m.
+        speed_unit: the wheel speed of the number 1, m/s.
+        angles: directions of the proximity sensors, [7] rad counter-clockwise from straight ahead.
+        scan: time between two readings of the robot's sensors, s.
+        reach: range of the proximity sensors, m.
         reboots: number of observed restarts of the robot.
     """
 
@@ -135,7 +134,7 @@ class Thymio:
         self._reader, self._halt = Reader(), b""
 
     def connect(self) -> None:
-        """Open the line, find the robot, stop it, and give it the program.
+        """Open the line, find the robot, stop it, and load the program.
 
         Raises:
             RobotError: if the port cannot be opened, nothing answers, or something else does.
@@ -144,25 +143,25 @@ class Thymio:
             self._line.connect(self._greet)
 
     def close(self) -> None:
-        """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C."""
+        """Stop the robot if the line is still open, and close it; raises only Ctrl-C."""
         self._line.hang_up(self.stop)
 
     def drive(self, command: Sequence[float]) -> None:
         """Set both wheels, in percent of full speed, for five minutes or until the next command.
 
         Raises:
-            UserError: if that is no speed.
+            UserError: if it is not a speed.
             LinkLost: if the robot does not acknowledge it.
         """
         self._hold(command, LONGEST)
 
     def drive_for(self, command: Sequence[float], seconds: float) -> None:
-        """Set both wheels as :meth:`drive` does; it is to last so long (s).
+        """Set both wheels, like :meth:`drive`, for a duration (s).
 
         Without another command the robot stops by itself :data:`LATE` later.
 
         Raises:
-            UserError, LinkLost: as :meth:`drive` does, and for a time longer than the robot takes.
+            UserError, LinkLost: as :meth:`drive`, and for a duration beyond the robot's limit.
         """
         if not 0 < seconds <= LONGEST:
             raise UserError(
@@ -191,7 +190,7 @@ class Thymio:
         return dict(zip(self.sensor_names, values, strict=True))
 
     def activations(self) -> NDArray[np.float64]:
-        """Read the proximity sensors, [7] from 0 to 1, 1 where something is near."""
+        """Read the proximity sensors, [7] from 0 to 1, 1 near an object."""
         return np.array(list(self.read_sensors().values())[: len(PROXIMITY)])
 
     def read_counts(self) -> tuple[int, int]:
@@ -207,7 +206,7 @@ class Thymio:
         return self._counts[0], self._counts[1]
 
     def set_counts(self, left: int, right: int) -> None:
-        """Set both counters, in pulses; the robot's own go on."""
+        """Set both counters, in pulses; the robot's own are not changed."""
         self.read_counts()
         self._counts = [int(left), int(right)]
 
@@ -242,7 +241,7 @@ class Thymio:
         self._carry_out(math.ceil(RATE * seconds) + 1, left, right)
 
     def _carry_out(self, runs: int, left: int, right: int) -> None:
-        """Set both wheels, in the robot's unit, for so many runs of the program."""
+        """Set both wheels, in the robot's unit, for a number of runs of the program."""
         self._number = self._number % 0x7FFF + 1
         number = self._number
         change = self._set(_LEFT_OVER, (runs, left, right, number))
@@ -279,7 +278,7 @@ class Thymio:
         self._load()
 
     def _is_robot(self, message: Message) -> int | None:
-        """Return the number of a robot that is present, if it may be the one."""
+        """Return the number of a present robot, if it can be the wanted one."""
         if message.type != aseba.PRESENT or self._wanted not in (None, message.source):
             return None
         return message.source
@@ -310,7 +309,7 @@ class Thymio:
         )
 
     def _load(self) -> None:
-        """Give the robot the program, and see it run."""
+        """Load the program into the robot, and check that it runs."""
         self._loading = True
         try:
             self._token = random.randrange(1, 0x8000)
@@ -337,16 +336,16 @@ class Thymio:
         return self._ask(request, lambda message: self._words(message, address, count), self._gone)
 
     def _words(self, message: Message, address: int, count: int) -> tuple[int, ...] | None:
-        """Return the words that a message has from an address on, if it is that message."""
+        """Return a message's words from an address on, if it has them."""
         if message.type != aseba.VARIABLES or message.source != self._node:
             return None
         first, *words = message.words or (-1,)
         return tuple(words) if first == address and len(words) == count else None
 
     def _block(self, change: bytes, done: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
-        """Send a change; return the program's words once they are as they are to be.
+        """Send a change; return the program's words after they have the wanted values.
 
-        A robot that has restarted has lost the program, and is given it again.
+        A restarted robot has lost the program, which is loaded again.
         """
         request = change + encode(aseba.GET_VARIABLES, [self._node, self._known.free, _WORDS])
 
@@ -368,7 +367,7 @@ class Thymio:
     def _ask(
         self, request: bytes, wanted: Callable[[Message], T | None], gone: Callable[[], RobotError]
     ) -> T:
-        """Send a request until an answer is the one that is wanted, and return that."""
+        """Send a request until a wanted answer comes, and return it."""
         for _ in range(TRIES):
             self._send(request)
             for message in self._heard():
@@ -384,7 +383,7 @@ class Thymio:
         )
 
     def _send(self, data: bytes) -> None:
-        # What came late is no answer to what is asked now.
+        # Late messages do not answer this request.
         for _ in range(_AT_MOST):
             if not (early := self._line.read_some(0.0)):
                 break
@@ -392,7 +391,7 @@ class Thymio:
         self._line.write(data)
 
     def _heard(self) -> Iterator[Message]:
-        """Give messages as they come, until none comes in time."""
+        """Give messages until none comes in time."""
         end = time.monotonic() + self._timeout
         while (left := end - time.monotonic()) > 0:
             for message in self._reader.feed(self._line.read_some(left)):
@@ -402,12 +401,12 @@ class Thymio:
 
 
 def _program(known: Description) -> list[int]:
-    """Return the program that the robot is given, as it is sent.
+    """Return the program for the robot, as words to send.
 
-    At the event ``motor``, a hundred times a second: one is counted off ``left over`` if there is
-    any; both wheels get their speeds if there is any left, and none otherwise; the lights get
-    their colour; the speeds that were measured are added up, and every :data:`PER_COUNT` of them is
-    one on a counter. It has no branches, which versions of the virtual machine encode differently.
+    At the event ``motor``, a hundred times a second: ``left over`` is reduced by one if it is above
+    0; both wheels get their speeds if it is still above 0, and 0 otherwise; the lights get their
+    colour; the measured speeds are added up, and each :data:`PER_COUNT` of the sum is one count. It
+    has no branches, which versions of the virtual machine encode differently.
     """
     own = known.free
     left = own + _LEFT_OVER
@@ -423,6 +422,6 @@ def _program(known: Description) -> list[int]:
         code += [load(total), load(known.addresses[name]), aseba.ADD, store(total)]
         code += [load(count), load(total), push(PER_COUNT), aseba.DIVIDE, aseba.ADD, store(count)]
         code += [load(total), push(PER_COUNT), aseba.REMAINDER, store(total)]
-    # Before the program stands which events it answers, and where: here one of them.
+    # The program begins with a table of its events and their addresses, here of one event.
     event = aseba.FIRST_EVENT - known.events.index("motor")
     return [3, event, 3, *code, aseba.STOP]
