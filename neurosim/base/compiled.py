@@ -48,10 +48,10 @@ def keep_compiled(*packages: Path) -> None:
     """Set the folder for Numba's machine code, which depends on the content of the sources.
 
     Numba checks only the file of the outermost function: after an edit of a function that this one
-        calls, it would use old machine code. So every content of the sources has its own folder. It
-        is in ``NUMBA_CACHE_DIR``, next to the source, or in the user's cache. If none can be
-        written to, such as in a read-only installation for a user without a home, the process makes
-        a temporary folder and removes it at its end.
+    calls, it would use old machine code. So every content of the sources has its own folder. It
+    is in ``NUMBA_CACHE_DIR``, next to the source, or in the user's cache. If none can be
+    written to, such as in a read-only installation for a user without a home, the process makes
+    a temporary folder and removes it at its end.
 
     Args:
         packages: folders of the sources; machine code may be stored next to the first.

@@ -111,7 +111,7 @@ def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
     """Open a file that grows in place, such as a log; make it where there is none.
 
     The maker of the folder may have put something else there: a symbolic or hard link leads to
-        another person's file, and a pipe never answers.
+    another person's file, and a pipe never answers.
 
     Args:
         path: the file.

@@ -409,7 +409,7 @@ def cylinder_arena() -> Place:
     """Return a room of 40 x 40 cm with a cylinder of 25 mm diameter, as in evorobotpy2's ErDiscrim.
 
     There the cylinder has a random position in one half of the room: here it is in the middle of
-        it.
+    it.
     """
     return Place.rectangle(0.40, 0.40, [(0.0, -0.05, 0.0125)])
 

@@ -360,7 +360,7 @@ class SettingsCommand(click.Command):
     """A command with groups of options: see :func:`settings_options`, :func:`choice_options`.
 
     The options depend on the choices, so the line is read twice: first with the options of all
-        choices.
+    choices.
 
     With ``--resume``, options that are not given are those of the first start. Objects outside this
     program (see :class:`Group`) must be named again.

@@ -46,7 +46,7 @@ def without_camera(options: Any) -> dict[str, Any]:
     """Return a resumed run's options without a camera, unless it is the virtual lab's.
 
     A file, which may be from anybody, must not choose what is opened: a camera's name may be any
-        file or URL.
+    file or URL.
     """
     options = dict(options) if isinstance(options, dict) else {}
     if options.get("camera") not in ("lab", "none"):

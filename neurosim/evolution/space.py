@@ -62,8 +62,8 @@ class Optimiser(Protocol):
 
     An optimiser of your own needs ``ask`` and ``tell``, and all its random numbers from the seed.
     Two parts are optional: ``hints``, names of further keywords of ``tell`` (``keys``, by which
-        crossover of plans pairs commands), and ``state()`` with ``load(state)``, arrays by name, if
-        these are smaller than all its answers.
+    crossover of plans pairs commands), and ``state()`` with ``load(state)``, arrays by name, if
+    these are smaller than all its answers.
     """
 
     def ask(self) -> Any:

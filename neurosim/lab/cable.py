@@ -23,7 +23,7 @@ class SerialCable:
     """Carries bytes to the firmware and back, in the lab's time as slowly as a serial line.
 
     One direction at a time: an answer leaves after its command has arrived; the next command is
-        taken after the answer has left.
+    taken after the answer has left.
 
     Args:
         firmware: the answering object.

@@ -171,7 +171,7 @@ class Journal:
         """Return the poses [P, K, 3] of individuals [P, G] that were tried.
 
         They are means over the trials that the run has used so far, not over further ones in the
-            file: an interruption changes nothing. NaN if a pose was not seen in any of them; None
+        file: an interruption changes nothing. NaN if a pose was not seen in any of them; None
             if no pose was seen at all.
         """
         each = []

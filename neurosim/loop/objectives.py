@@ -61,7 +61,7 @@ def steady(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
     """The mean fitness, less a loss if the same start leads to another path through other noise.
 
     The samples are two halves with the same starts: a controller that noise changes little also
-        works on the robot. If there is only one half, or no poses, the fitness alone counts.
+    works on the robot. If there is only one half, or no poses, the fitness alone counts.
     """
     mean = mean_fitness(task, judgement.fitness)
     success = judgement.success.mean(axis=1)

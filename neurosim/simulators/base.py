@@ -117,8 +117,8 @@ class Simulator:
     """Predicts the state after a command, for a whole batch at once; subclass it.
 
     A simulator keeps no hidden state: all memory of a trajectory is in its ``state``. All
-        simulators look the same to a controller. Only ``state_names``, ``command_names``,
-        :meth:`start` and :meth:`step` must be given.
+    simulators look the same to a controller. Only ``state_names``, ``command_names``,
+    :meth:`start` and :meth:`step` must be given.
 
     Poses, states and commands have a row for each robot. They may be tensors, NumPy arrays or
     lists, of any type of number: a subclass gets tensors of its ``dtype``. If the first one is a

@@ -164,9 +164,8 @@ class VirtualBrick:
         """Carry out one telegram; return the reply, or None if there is no reply.
 
         The content of a telegram never raises an error: an unknown opcode is answered by status
-            0xBE,
-        a body of the wrong length by 0xBF, a value out of range by 0xC0. Telegrams that are not
-        commands (a reply, an unknown type, fewer than two bytes) are ignored.
+        0xBE, a body of the wrong length by 0xBF, a value out of range by 0xC0. Telegrams that are
+        not commands (a reply, an unknown type, fewer than two bytes) are ignored.
         """
         if len(telegram) < 2 or telegram[0] & ~NO_REPLY not in (DIRECT, SYSTEM):
             return None

@@ -109,7 +109,7 @@ class Guard:
         """Send a telegram that asks for no reply, in any state of the line; never raises.
 
         Only a stop is sent like this: the brick may still receive it, even if its replies are
-            missing or wrong.
+        missing or wrong.
         """
         deadline, self._deadline = self._deadline, min(self._deadline, POST_WITHIN)
         try:
