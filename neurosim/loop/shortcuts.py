@@ -39,7 +39,7 @@ def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
         device: PyTorch's device on which a simulator computes; without effect for the others.
 
     Raises:
-        FileError: if it is none of these, or a file in it is missing or wrong.
+        FileError: if it is another folder, or a file in it is missing or wrong.
         UserError: if the device does not exist.
 
     Example:

@@ -392,9 +392,9 @@ def _tensor(simulator: Simulator, method: str, argument: str, rows: ArrayLike | 
 
 
 def _limits(simulator: Simulator, name: str) -> tuple[float, float]:
-    """Return the lowest and highest command of a column that is not refused.
+    """Return the lowest and highest accepted command of a column.
 
-    The largest that was recorded is not quite the largest that was meant.
+    The largest recorded command is not quite the largest intended one.
     """
     low, high = simulator.domain.get(name, (-np.inf, np.inf))
     if not np.isfinite(high - low):
@@ -404,11 +404,11 @@ def _limits(simulator: Simulator, name: str) -> tuple[float, float]:
 
 
 def check_commands(simulator: Simulator, commands: NDArray, where: str = "commands") -> None:
-    """Refuse commands [..., C] that the simulator cannot have learned.
+    """Raise an error for commands [..., C] outside of the simulator's data.
 
     Raises:
-        UserError: naming the first one that is not finite, lasts no time, or lies outside the
-            domain, and what would be right.
+        UserError: naming the first one that is not finite, has no duration, or is outside of the
+            domain, and the domain.
     """
     names = simulator.command_names
     if commands.shape[-1] != len(names):

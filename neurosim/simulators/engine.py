@@ -1,17 +1,18 @@
 """The compiled trial loop: one for all simulators, controllers, environments and replanning.
 
-A simulator that brings compiled functions takes part in it. It has a ``NamedTuple`` of its numbers,
-its *model*, and for models of that class two functions compiled by Numba (:func:`compiled`):
+It works with simulators that have compiled functions. Such a simulator has a ``NamedTuple`` of its
+numbers, its *model*, and for models of that class two functions compiled by Numba
+(:func:`compiled`):
 
     step(model, states, command, z, work)   changes the states of robots that obey one command
     sense(model, state, z, work, out)       writes the readings of one robot
 
-:func:`drive` is the one loop. It is compiled once for each class, with the functions of that class
-in the place of :func:`_step` and :func:`_sense`, and kept on disk. Functions that are handed over
-as arguments would be compiled again in every session (Numba's issue 6264).
+:func:`drive` is the loop. It is compiled once for each class, with the functions of that class
+instead of :func:`_step` and :func:`_sense`, and stored on disk. Functions given as arguments would
+be compiled again in every session (Numba's issue 6264).
 
-Robots that have had the same commands since the start are stepped together: what depends on the
-commands alone, such as a motion network's prediction, is computed once for all of them.
+Robots with the same commands since the start are stepped together: values that depend on the
+commands alone, such as a motion network's prediction, are computed once for all of them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
 from neurosim.simulators.sampling import Stepper, began, draw_samples, trial_steps
 
-#: Steps that it takes to make up for another core's beginning.
+#: Number of steps for which another core is worth starting.
 _WORTH_SHARING = 100
 
 
@@ -63,11 +64,11 @@ def compiled(
         model: a ``NamedTuple``: arrays, numbers, booleans, and such tuples.
         step: see the module. ``states`` [N, S] float64 in the columns of the simulator's
             ``state_names`` are changed; of ``command`` [C] float64 the columns are the simulator's
-            ``command_names``; ``z`` [N, Z] float32 are the numbers of the noise, [0, 0] where
-            there is none.
+            ``command_names``; ``z`` [N, Z] float32 are the numbers of the noise, [0, 0] without
+            noise.
         sense: ``state`` [S]; ``z`` [Z], or [0]; ``out`` [R] float64. None: there are no sensors.
-        scratch: a Python function, (model) -> ``work``, which is handed to ``step`` and ``sense``:
-            arrays that they may write to, made once for many steps. None: an empty array.
+        scratch: a Python function, (model) -> ``work``, arrays to which ``step`` and ``sense`` may
+            write, made once for many steps. None: an empty array.
 
     Example:
         >>> class Cart(NamedTuple):
@@ -78,18 +79,18 @@ def compiled(
         >>> ns.compiled(Cart, step)  # for simulators whose compiled() returns a Cart
     """
     files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
-    kept = all(file.exists() for file in files)  # not what is typed in by hand, as in a notebook
+    kept = all(file.exists() for file in files)  # not functions typed in by hand, as in a notebook
     sources = [model.__module__.encode(), model.__qualname__.encode()]
     sources += [file.read_bytes() for file in sorted(files)] if kept else []
-    # Numba keeps machine code under the name of a function, with the types that it was compiled
-    # for: a loop for each class, so that none needs the modules of others, or an old source.
+    # Numba stores machine code under a function's name, with the types for which it was compiled.
+    # Each class has its own loop, so that it does not need the modules of others, or an old source.
     name = f"drive_{hashlib.sha256(b' '.join(sources)).hexdigest()[:16]}"
     sense, scratch = sense or _no_readings, scratch or _no_scratch
     known = {**drive.__globals__, "_step": step, "_sense": sense}
     own = FunctionType(drive.__code__, known, name)
     own.__qualname__ = name
-    # Counting references to arrays would take as long as the steps themselves: nothing is made
-    # there. For several cores see :func:`_on_cores`.
+    # Counting references to arrays would take as long as the steps, so no arrays are made there.
+    # For several cores see :func:`_on_cores`.
     options: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True, "nogil": True}
     loop = njit(cache=kept, error_model="numpy", **options)(own)
     _FUNCTIONS[model] = Functions(step, sense, scratch, loop)
@@ -99,7 +100,7 @@ def functions_of(model: Any) -> Functions:
     """Return the functions of a model.
 
     Raises:
-        TypeError: if :func:`compiled` has named none.
+        TypeError: if :func:`compiled` was not called for its class.
     """
     if type(model) not in _FUNCTIONS:
         raise TypeError(f"{type(model).__name__} has no compiled functions: name them first")
@@ -116,12 +117,12 @@ def _no_scratch(model: Any) -> NDArray:
 
 
 def _step(model, states, command, z, work):
-    """Stand for the ``step`` of a class of models."""
+    """Take the place of the ``step`` of a class of models."""
     raise NotImplementedError
 
 
 def _sense(model, state, z, work, out):
-    """Stand for the ``sense`` of a class of models."""
+    """Take the place of the ``sense`` of a class of models."""
     raise NotImplementedError
 
 
@@ -143,16 +144,15 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
     Samples are driven in groups of ``room.states``; the groups of an individual follow each other.
 
     Args:
-        model: of a class that :func:`compiled` knows.
-        pilot: :class:`~neurosim.networks.control_kernels.Pilot`: what all individuals share.
+        model: of a class for which :func:`compiled` was called.
+        pilot: :class:`~neurosim.networks.control_kernels.Pilot`, common to all individuals.
         genes: [P, G] of networks.
-        begun: [1 or P, R, S] the states in which robots begin, of all individuals or of each.
-        z: [1 or P, T, R, Z] float32, the noise of every step, likewise; T = 0: there is none. The
-            readings before step k are made with the k-th, the n-th command that is given with the
-            n-th.
-        first, last: the groups that are driven, from the first to before the last.
+        begun: [1 or P, R, S] first states of the robots, for all individuals or for each.
+        z: [1 or P, T, R, Z] float32, the noise of every step; T = 0: none. The readings before step
+            k use the k-th, the n-th given command the n-th.
+        first, last: the driven groups, from the first to before the last.
         room: :class:`Room`.
-        poses: [P, R, T + 1, 3], written: before each step and after the last; none: not kept.
+        poses: [P, R, T + 1, 3], written: before each step and after the last; empty: not kept.
         commands: [P, R, T, C], written: of networks, without the duration; T = 0: not kept.
         readings: [P, R, T, Q] float32, written: before each step from ``pilot.reads`` on; T = 0:
             not kept.
@@ -225,9 +225,9 @@ def _on_cores(
     """Drive all individuals through all samples, on all cores; arguments as in :func:`drive`.
 
     Args:
-        model, pilot, genes, begun, z: see there.
-        works: what ``scratch`` made of this model earlier and nobody uses now, changed.
-        together: so many robots are stepped together: with networks 1.
+        model, pilot, genes, begun, z: see :func:`drive`.
+        works: unused results of ``scratch`` for this model, changed.
+        together: number of robots that are stepped together; 1 for networks.
         written: poses, commands, readings, ends.
     """
     functions, ends, readings = functions_of(model), written[-1], written[-2]
@@ -255,10 +255,10 @@ def _on_cores(
 
 
 class CompiledRollouts:
-    """Rollouts of one kind of controller in a simulator that brings compiled functions."""
+    """Rollouts of one kind of controller in a simulator with compiled functions."""
 
     def __init__(self, simulator: Any, controller: Any, episode: Episode):
-        """Lay out the controllers, which are open-loop or networks."""
+        """Prepare the arrays of the controllers, which are open-loop or networks."""
         self._simulator, self._controller, self._episode = simulator, controller, episode
         self._model, self._works = simulator.compiled(), list[Any]()
         names = simulator.reading_names
@@ -278,7 +278,7 @@ class CompiledRollouts:
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Sample where each robot stands, its ensemble member and its noise."""
+        """Sample each robot's start, ensemble member and noise."""
         steps = trial_steps(self._controller, self._episode)
         return draw_samples(self._simulator, starts, rng, placing, steps)
 
@@ -286,7 +286,7 @@ class CompiledRollouts:
         """Return the trajectories [P, R, ...] of individuals [P, G] through samples [R].
 
         Raises:
-            ValueError: if genes or noise are not as many as this trial takes.
+            ValueError: if the number of genes or of noise numbers is wrong.
         """
         if genes.ndim != 2 or genes.shape[1] != self._controller.genes:
             wanted = self._controller.genes
@@ -301,7 +301,7 @@ class CompiledRollouts:
         begun = began(self._simulator, draws)[None]
         noise = _as_steps(draws.noise, self._simulator, samples, pilot.length)
         together = 1
-        if pilot.open_loop:  # one plan is shared out among the cores
+        if pilot.open_loop:  # the samples of a single plan are distributed to the cores
             together = -(-samples // get_num_threads()) if len(genes) == 1 else samples
         columns = 0 if pilot.open_loop else len(pilot.scale)
         poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
@@ -318,10 +318,10 @@ class CompiledRollouts:
     def _buffers(
         self, count: int, samples: int, steps: int, columns: int, reuse: bool
     ) -> list[NDArray]:
-        """Return arrays [P, R, ...] for poses, commands and readings to be written to.
+        """Return arrays [P, R, ...] for poses, commands and readings.
 
-        New memory of tens of megabytes takes as long as the driving: with ``reuse`` it is that of
-        the run before where it is large enough.
+        New memory of tens of megabytes takes as long as the computation: with ``reuse`` the memory
+        of the previous run is used if it is large enough.
         """
         sensors = len(self._simulator.reading_names)
         shapes = {
@@ -346,7 +346,7 @@ class CompiledStepper(Stepper):
     def __init__(self, simulator: Any):
         super().__init__(simulator)
         self._model, self._works = simulator.compiled(), list[Any]()
-        functions_of(self._model)  # raises if there are none
+        functions_of(self._model)  # raises an error if there are none
 
     def step(
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
@@ -368,12 +368,12 @@ class CompiledStepper(Stepper):
         noise: NDArray | None,
         after: NDArray | None,
     ) -> tuple[NDArray[np.float64], NDArray]:
-        """Return the states [B, S] after commands [B, C], and the readings there [B, R], float32.
+        """Return the states [B, S] after commands [B, C], and their readings [B, R], float32.
 
         Args:
-            state, command, noise: as :meth:`step` takes them.
-            after: the noise of the step that follows, with which sensors are read; None where
-                ``noise`` is None.
+            state, command, noise: as in :meth:`step`.
+            after: the noise of the next step, which is also that of the readings; None if ``noise``
+                is None.
         """
         z = None if noise is None or after is None else np.stack([noise, after], axis=1)
         return self._after(state, command, z, 2)
@@ -385,7 +385,7 @@ class CompiledStepper(Stepper):
         z: NDArray | None,
         steps: int,
     ) -> tuple[NDArray[np.float64], NDArray]:
-        """Drive a plan of one command; before the null one that may follow, sensors are read."""
+        """Drive a plan of one command; sensors are read before the null command that may follow."""
         commands = np.empty((len(state), steps, command.shape[1]))
         commands[:, 0], given = command, np.zeros((len(state), steps), np.bool_)
         given[:, 0] = True
@@ -410,10 +410,10 @@ class CompiledStepper(Stepper):
 def _as_steps(
     noise: NDArray | None, simulator: Any, samples: int, steps: int
 ) -> NDArray[np.float32]:
-    """Return noise [1, T, R, Z] as the loop takes it, of noise [R, T, Z]; T = 0: there is none.
+    """Return noise [1, T, R, Z] for the loop from noise [R, T, Z]; T = 0: none.
 
     Raises:
-        ValueError: if there is too little of it; compiled code does not look.
+        ValueError: if its shape is wrong, which compiled code does not check.
     """
     width = simulator.noise_width
     if noise is None:

@@ -1,9 +1,9 @@
-"""A simulator's step as a program that runs without neurosim: ONNX, or PyTorch's own form.
+"""A simulator's step as a program that runs without neurosim, in the form of ONNX or PyTorch.
 
-The program is the simulator's :meth:`step`, nothing more: state and command in, state out, for a
-batch of any size; the ensemble's member stands in the state, and noise is made of numbers that
-are given. ONNX is in float32, as its runtimes have no float64 form of some functions; PyTorch's
-is in float64, as ours is, and gradients flow through it.
+The program is only the simulator's :meth:`step`: state and command in, state out, for a batch of
+any size. The ensemble's member is in the state, and noise is computed from given numbers. ONNX is
+in float32, because its runtimes lack some functions in float64. PyTorch's is in float64, like the
+simulator, and gradients flow through it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FORMAT, VERSION = "neurosim-export", 1
 #: File and precision of each form.
 FORMS = {"onnx": ("step.onnx", "float32"), "torch": ("step.pt2", "float64")}
 
-#: Rows of the batch with which a program is traced; a number that no other size has.
+#: Rows of the batch with which a program is traced; no other size may have this number.
 _ROWS = 5
 
 
@@ -49,8 +49,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a simulator's step as a program that needs no neurosim.
 
-    The folder has the program (``step.onnx`` or ``step.pt2``), ``export.json``, which says what it
-    takes and returns, and a ``README.md`` that says how it is used.
+    The folder has the program (``step.onnx`` or ``step.pt2``), ``export.json``, which describes its
+    inputs and outputs, and a ``README.md`` about its use.
 
     Args:
         simulator: a simulator, or its folder.
@@ -61,8 +61,8 @@ def export(
         The content of export.json.
 
     Raises:
-        UserError: if this kind of simulator cannot be exported, a package is missing, or something
-            stands at ``out``.
+        UserError: if this kind of simulator cannot be exported, a package is missing, or ``out``
+            exists.
     """
     source: dict[str, Any] = {}
     if isinstance(simulator, str | Path):
@@ -92,7 +92,7 @@ def trace(simulator: Simulator) -> torch.export.ExportedProgram:
         simulator: of :meth:`Simulator.for_export`.
 
     Raises:
-        UserError: if its step cannot be followed by ``torch.export``.
+        UserError: if ``torch.export`` cannot trace its step.
     """
     state = simulator.start(torch.zeros(_ROWS, 3))
     command = torch.ones(_ROWS, len(simulator.command_names)).to(state)
@@ -111,20 +111,20 @@ def trace(simulator: Simulator) -> torch.export.ExportedProgram:
             f"{why}"
         ) from error
     for node in program.graph.nodes:
-        node.meta.pop("stack_trace", None)  # where our files are is nobody's business
-    program._example_inputs = None  # would be kept as a pickle, the only one in the file
+        node.meta.pop("stack_trace", None)  # paths of this computer
+    program._example_inputs = None  # it would be the only pickle in the file
     return program
 
 
 def describe(
     simulator: Simulator, to: Literal["onnx", "torch"], source: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the content of export.json: columns, units and limits of what goes in and comes out.
+    """Return the content of export.json: columns, units and limits of inputs and outputs.
 
     Args:
-        simulator: that is exported.
+        simulator: the exported simulator.
         to: the form.
-        source: what names its folder; may be empty.
+        source: name of its folder; may be empty.
     """
     name, precision = FORMS[to]
     domain = simulator.domain
@@ -156,7 +156,7 @@ def _finite(value: float) -> float | None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep to itself what PyTorch has to say of its own internals."""
+    """Suppress PyTorch's warnings about its own internals."""
     log = logging.getLogger("torch")
     level = log.level
     log.setLevel(logging.ERROR)
@@ -179,7 +179,7 @@ def _check_installed() -> None:
 
 
 def _onnx(program: torch.export.ExportedProgram) -> bytes:
-    """Return an ONNX model of a program, one file without notes of how it was made."""
+    """Return an ONNX model of a program, one file without notes on its making."""
     names = ["state", "command", "noise"]
     inputs = [spec for spec in program.graph_signature.user_inputs if spec is not None]
     with _quiet():
@@ -247,7 +247,7 @@ for command in COMMANDS:
 
 
 def _page(about: dict[str, Any]) -> str:
-    """Return the page that lies next to a program."""
+    """Return the page for a program's folder."""
     columns = "\n".join(
         f"| `{one['name']}` | {_shown(one['lowest'])} | {_shown(one['highest'])} |"
         for one in about["command"]

@@ -1,7 +1,7 @@
-"""Random numbers of noise from a seed and the number of a step, compiled (SplitMix64).
+"""Random numbers of noise from a seed and a step's number, compiled (SplitMix64).
 
-Every sample has a seed of its own: what it meets depends neither on how many others there are nor
-on the order in which they are stepped.
+Every sample has its own seed: its numbers depend neither on the number of other samples nor on
+their order.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from neurosim.base.random import GOLDEN, bits
 from neurosim.base.threads import on_cores
 
-#: What numbers are: there are none; uniform in -1 to 1; standard normal.
+#: Kinds of numbers: none; uniform in -1 to 1; standard normal.
 NONE, UNIFORM, NORMAL = 0, 1, 2
 
-#: Numbers that it takes to make up for another core's beginning.
+#: Number of random numbers for which another core is worth starting.
 _WORTH_SHARING = 10_000
 
 
@@ -59,9 +59,9 @@ def numbers(
     Args:
         noise: UNIFORM or NORMAL.
         seeds: [R] of the samples.
-        first: [R] the number of the first of these steps, from 0 on.
-        steps: how many follow each other.
-        width: how many numbers a step has.
+        first: [R] number of the first of these steps, from 0.
+        steps: number of steps.
+        width: number of random numbers of a step.
     """
     out = np.empty((len(seeds), steps, width), np.float32)
 

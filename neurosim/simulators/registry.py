@@ -1,4 +1,4 @@
-"""The kinds of simulators by name, and how one is read from its folder and written to one."""
+"""The kinds of simulators by name, and their readers and writers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from neurosim.simulators.base import FORMAT, VERSION, Simulator, Writable
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.network import MotionNetwork
 
-#: By the kind that simulator.json names: what reads such a folder, (folder, device) -> simulator.
+#: The reader of each kind in simulator.json: (folder, device) -> simulator.
 SIMULATORS = Registry(
     "kind of simulator",
     "neurosim.simulators",
@@ -31,7 +31,7 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
     Raises:
         FileError: if the folder is not a simulator that this version reads, or a file in it is
             missing, cut short or wrong.
-        UserError: if there is no such device.
+        UserError: if the device does not exist.
     """
     check_device(device)
     path = Path(folder) / "simulator.json"
@@ -45,10 +45,10 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
 
 
 def simulator_of(simulator: str | Path | Simulator) -> Simulator:
-    """Return a simulator that is given itself or by its folder.
+    """Return a simulator that is given as an object or by its folder.
 
     Raises:
-        UserError: if it is neither, or its folder cannot be read.
+        UserError: if it is something else, or its folder cannot be read.
     """
     if isinstance(simulator, str | Path):
         return read_simulator(simulator)
@@ -63,7 +63,7 @@ def simulator_of(simulator: str | Path | Simulator) -> Simulator:
 
 
 def check_device(device: str | torch.device) -> None:
-    """Refuse a device that PyTorch does not have.
+    """Raise an error for a device that PyTorch does not have.
 
     Raises:
         UserError: naming it.
@@ -80,7 +80,7 @@ def write_simulator(simulator: Simulator, folder: str | Path) -> bool:
     """Write a simulator as a new folder; return whether its kind can be written.
 
     Raises:
-        UserError: if something stands there.
+        UserError: if the folder exists.
     """
     if isinstance(simulator, MotionNetwork):
         with files.new_folder(folder) as partial:

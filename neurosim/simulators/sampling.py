@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.simulators.numbers import words
 
-#: How well a person puts a robot down at a mark: standard deviations in x and y (m), heading (rad).
+#: A person's error in placing a robot at a mark: standard deviations in x and y (m), heading (rad).
 PLACING = (0.003, float(np.radians(0.5)))
 
 
 class Stepper:
-    """Steps whole batches in NumPy, each row with random numbers of its own.
+    """Steps whole batches in NumPy; each row has its own random numbers.
 
-    It asks the simulator's own ``step`` and ``sense``; the compiled one is a subclass, held to this
-    one by a test. The noise of a row depends on its own seed and step alone, not on other rows.
+    It calls the simulator's own ``step`` and ``sense``; the compiled one is a subclass, which a
+    test compares with it. The noise of a row depends on its own seed and step, not on other rows.
 
     Attributes:
-        simulator: whose steps they are.
+        simulator: the simulator of the steps.
     """
 
     def __init__(self, simulator: Any):
@@ -35,14 +35,14 @@ class Stepper:
         return self.simulator.standing(poses, member)
 
     def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
-        """Return the noise of a step, as :meth:`step` and :meth:`sense` take it.
+        """Return the noise of a step for :meth:`step` and :meth:`sense`.
 
         Args:
             seeds: [B] of the rows' samples.
             steps: [B] the number of the step in each row.
 
         Returns:
-            Numbers [B, noise_width]; or a seed for each row [B, 1], where the simulator draws its
+            Numbers [B, noise_width]; or a seed for each row [B, 1], if the simulator draws its
             noise itself.
         """
         numbers = self.simulator.noise_of(seeds, 1, steps)
@@ -65,11 +65,11 @@ class Stepper:
         noise: NDArray | None,
         after: NDArray | None,
     ) -> tuple[NDArray[np.float64], NDArray]:
-        """Return the states [B, S] after commands [B, C], and the readings there [B, R].
+        """Return the states [B, S] after commands [B, C], and their readings [B, R].
 
         Args:
-            state, command, noise: as :meth:`step` takes them.
-            after: the noise of the step that follows, with which sensors are read.
+            state, command, noise: as in :meth:`step`.
+            after: the noise of the next step, which is also that of the readings.
         """
         state = self.step(state, command, noise)
         return state, self.sense(state, after)
@@ -94,7 +94,7 @@ def _generator(seed: np.uint64) -> torch.Generator:
 
 
 def trial_steps(controller: Any, episode: Episode) -> int:
-    """Return how many steps a trial of a controller has, the stop at its end included."""
+    """Return the number of steps of a controller's trial, including the stop at its end."""
     if controller.open_loop:
         genes = np.zeros((1, controller.genes))
         return controller.commands(genes, episode.rest)[0].shape[1]
@@ -108,17 +108,17 @@ def draw_samples(
     placing: tuple[float, float] | None,
     steps: int,
 ) -> Draws:
-    """Sample where each robot stands, which ensemble member it moves as, and its noise.
+    """Sample each robot's start, ensemble member and noise.
 
     Args:
-        simulator: in which they are.
-        starts, rng, placing: as :meth:`Rollouts.draw` takes them.
+        simulator: the simulator of the samples.
+        starts, rng, placing: as in :meth:`Rollouts.draw`.
         steps: of a trial.
     """
     rng = np.random.default_rng(rng)
     starts = placed(starts, placing, rng)
     member = noise = seeds = None
-    if simulator.members > 1:  # as many of each as can be: less noise in the fitness
+    if simulator.members > 1:  # equal numbers of each member lessen the noise of the fitness
         member = rng.permutation(np.arange(len(starts)) % simulator.members)
     if simulator.has_noise:
         seeds = rng.integers(2**64, size=len(starts), dtype=np.uint64)
@@ -136,7 +136,7 @@ def placed(
 
 
 def began(simulator: Any, draws: Draws) -> NDArray[np.float64]:
-    """Return the states [R, S] in which the robots of samples begin."""
+    """Return the first states [R, S] of the robots in samples."""
     states = simulator.standing(draws.starts, draws.member)
     if draws.state is not None:
         own = [name not in ("x", "y", "theta", "member") for name in simulator.state_names]

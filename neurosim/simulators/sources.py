@@ -11,25 +11,25 @@ from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.simulators.base import FORMAT, VERSION
 
-#: What says of which robot a folder of samples, or a dataset, is.
+#: Files that name the robot of a folder of samples or of a dataset.
 _ABOUT = {"sampling.json": ("neurosim-sampling", 2), "dataset.json": ("neurosim-dataset", 2)}
 
 
 def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
     """Describe the source files of a simulator for simulator.json.
 
-    A ``.sample`` file has no place to say of which robot it is; the ``sampling.json`` that
-    ``neurosim sample`` writes next to it does.
+    A ``.sample`` file cannot name its robot; the ``sampling.json`` of ``neurosim sample`` next to
+    it does.
 
     Args:
         paths: sample files, files of motor samples, or datasets.
 
     Returns:
-        ``source``: path and SHA-256 of each, and ``virtual`` where something says whether it is
-        from the virtual lab.
+        ``source``: path and SHA-256 of each, and ``virtual`` if it is known whether it is from the
+            virtual lab.
 
     Raises:
-        FileError: if what says so is damaged.
+        FileError: if such a file is damaged.
     """
     entries = []
     for path in map(Path, paths):
@@ -53,7 +53,7 @@ def named(simulator: str | Path) -> dict[str, Any]:
     """Describe the simulator of a controller for its file.
 
     Returns:
-        ``path``, ``sha256`` of simulator.json, and ``virtual`` where the simulator says.
+        ``path``, ``sha256`` of simulator.json, and ``virtual`` if the simulator has it.
 
     Raises:
         FileError: if simulator.json is wrong.

@@ -32,14 +32,14 @@ from neurosim.robots.quadruped import (
 UPPER_FRACTION = 0.6
 
 
-#: Quantities that are above 0, or not below.
+#: Quantities that must be above 0, or not below 0.
 Positive = Annotated[float, Meta(gt=0, le=10_000)]
 Amount = Annotated[float, Meta(ge=0, le=1e12)]
 
 
 @dataclass(frozen=True)
 class LeggedBuild(Checked):
-    """How a legged robot and its place are built; a subclass for each robot.
+    """The build of a legged robot and its place; each robot has a subclass.
 
     The model's free body is named ``trunk``; its pose is the robot's.
 
@@ -48,18 +48,19 @@ class LeggedBuild(Checked):
         joints: in the order of the columns of commands.
         frame: time between two commands of the joints, s.
         radius: of the robot, m.
-        ranges: what can be adjusted: name -> lowest, highest, unit, whether on a logarithmic scale.
-        fallen: it has fallen where its back points further than this from straight up, cos.
-        highest: a trunk above this is no walking robot's, m.
-        settles: before a trial it stands for so long, s, after a fall from the height ``drop``
-            (m); 0: it is put on the floor as it stands, feet first.
+        ranges: adjustable quantities: name -> lowest, highest, unit, whether the scale is
+            logarithmic.
+        fallen: cosine of the angle of the back from straight up beyond which the robot has fallen.
+        highest: largest height of a walking robot's trunk, m.
+        settles: time of standing before a trial, s, after a fall from the height ``drop`` (m); 0:
+            it is placed with its feet on the floor.
         friction: Coulomb's coefficient of the lower legs, along them.
         gravity: m/s^2.
         slip: time constant of the feet's creep, s.
-        slip_ratio: how much more a foot creeps to the side than ahead.
+        slip_ratio: ratio of a foot's creep to the side over that ahead.
         joint_friction: dry friction of each joint, N m.
         timestep: s.
-        iterations: most that the solver makes in a step.
+        iterations: largest number of the solver's iterations in a step.
         cone: of friction, ``elliptic`` or ``pyramidal``.
         armature: inertia of each joint's motor and gear, kg m^2.
         damping: of each joint, N m s/rad.
@@ -96,7 +97,7 @@ class LeggedBuild(Checked):
 
     @classmethod
     def standing(cls) -> NDArray[np.float64]:
-        """Return the angles of all joints of a robot that stands, rad."""
+        """Return the angles of all joints of a standing robot, rad."""
         raise NotImplementedError
 
     @classmethod
@@ -109,7 +110,7 @@ class LeggedBuild(Checked):
         raise NotImplementedError
 
     def options(self) -> str:
-        """Return the beginning of the model: units, solver, and what all its joints have."""
+        """Return the beginning of the model: units, solver, and properties of all joints."""
         return f"""<compiler angle="radian" autolimits="true"/>
 <option timestep="{self.timestep}" iterations="{self.iterations}" cone="{self.cone}"
  integrator="implicitfast" gravity="0 0 {-self.gravity}"/>
@@ -130,24 +131,24 @@ class LeggedBuild(Checked):
 
 @dataclass(frozen=True)
 class Build(LeggedBuild):
-    """How the walking robot is built; the defaults are the simulator's, not a real robot's.
+    """The build of the walking robot; the defaults are the simulator's, not a real robot's.
 
     Attributes:
         head, neck, body, leg: masses, kg; of each leg.
         friction: Coulomb's coefficient of the feet, ahead.
         gravity: m/s^2.
         slip: time constant of the feet's creep, s.
-        slip_ratio: how much more a foot creeps to the side than ahead.
+        slip_ratio: ratio of a foot's creep to the side over that ahead.
         p, i, d: gains of each joint's controller, N m/rad, N m/(rad s), N m s/rad.
-        torque: most that a joint gives, N m.
+        torque: largest torque of a joint, N m.
         timestep: s.
-        iterations: most that the solver makes in a step.
+        iterations: largest number of the solver's iterations in a step.
         cone: of friction, ``elliptic`` or ``pyramidal``.
         armature: inertia of each joint's motor and gear, kg m^2.
         damping: of each joint, N m s/rad.
         joint_friction: dry friction of each joint, N m.
-        backlash: how far each joint can be turned with its motor standing still, rad; 0: none.
-        legs: length of each lower leg, as a fraction of what it should be.
+        backlash: play of each joint while its motor stands, rad; 0: none.
+        legs: length of each lower leg, as a fraction of the nominal one.
         bumps: (x, y, radius, height) of flat spherical caps on the floor, m.
     """
 
@@ -230,7 +231,7 @@ def mujoco() -> Any:
 
 
 def compile_model(build: LeggedBuild) -> Any:
-    """Return the compiled model, an ``MjModel``; one that blows up is not begun again."""
+    """Return the compiled model, an ``MjModel``, which is not reset after a numerical blow-up."""
     package = mujoco()
     model = package.MjModel.from_xml_string(build.mjcf())
     model.opt.disableflags |= int(package.mjtDisableBit.mjDSBL_AUTORESET)
@@ -278,7 +279,7 @@ def friction_of(ahead: float, sideways: float) -> str:
 
 
 def numbers(values: Sequence[float]) -> str:
-    """Return numbers as MJCF has them."""
+    """Return numbers as text for MJCF."""
     return " ".join(f"{value:.9g}" for value in values)
 
 

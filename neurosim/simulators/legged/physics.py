@@ -1,7 +1,7 @@
-"""Trials of walking robots in MuJoCo, many at once: second by second, with early ends.
+"""Trials of walking robots in MuJoCo, many at once, second by second, with early ends.
 
-``mujoco.rollout`` shares the trials out over the cores. A trial that is over, because the robot
-fell or has come far enough, costs nothing from the next second on.
+``mujoco.rollout`` distributes the trials to the cores. A trial that has ended, by a fall or at the
+goal, costs nothing from the next second on.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from numpy.typing import NDArray
 from neurosim.robots.quadruped import FOOT
 from neurosim.simulators.legged.build import Build, LeggedBuild, mujoco
 
-#: Frames that are computed at once.
+#: Number of frames that are computed at once.
 _CHUNK = 125
 
 
 class Physics:
-    """Runs walking robots of one make; keeps threads and memory for it."""
+    """Runs walking robots of one build; keeps threads and memory for it."""
 
     def __init__(self, model: Any, threads: int | None = None, make: type[LeggedBuild] = Build):
         """Prepare.
 
         Args:
-            model: an ``MjModel``; others that run here have the same joints and bodies.
+            model: an ``MjModel``; other models must have the same joints and bodies.
             threads: by default one for each core.
             make: the class of the robot's build.
         """
         from mujoco import rollout
 
         self._mujoco = mujoco()
-        # Numbers that blow up are a fall here, not worth a MUJOCO_LOG.TXT in the working folder.
+        # A numerical blow-up counts as a fall, without a MUJOCO_LOG.TXT in the working folder.
         self._mujoco.set_mju_user_warning(lambda message: None)
         self._model, self._make = model, make
         self._threads = threads or len(os.sched_getaffinity(0))
@@ -52,7 +52,7 @@ class Physics:
         data.qpos[self._joints] = make.standing()
         if make.settles:
             data.qpos[2], data.ctrl[:] = make.drop, make.standing()
-            data.act[:] = make.standing()  # where servos of limited speed are
+            data.act[:] = make.standing()  # positions of servos with limited speed
             for _ in range(round(make.settles / model.opt.timestep)):
                 self._mujoco.mj_step(model, data)
             data.time, data.qvel[:] = 0.0, 0.0
@@ -77,8 +77,8 @@ class Physics:
         """Return the states [B, size] of robots that stand at poses [B, 3] (m, m, rad).
 
         Args:
-            poses: of all.
-            model: of all; by default the one that this was made for.
+            poses: poses of the robots.
+            model: of all; by default the one of the constructor.
         """
         same = model is None or model is self._model or not self._make.settles
         states = np.tile(self._standing if same else self._stand(model), (len(poses), 1))
@@ -90,7 +90,7 @@ class Physics:
     def frames(
         self, models: Any, states: NDArray[np.float64], commands: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the states [B, T, size] after each of T frames; NaN once numbers blow up.
+        """Return the states [B, T, size] after each of T frames; NaN after a numerical blow-up.
 
         Args:
             models: one for all or one for each.
@@ -107,7 +107,7 @@ class Physics:
             list(models) if isinstance(models, Sequence) else models, self._data, begun, control
         )
         frames = frames[:, steps - 1 :: steps]
-        # Where numbers blow up MuJoCo stops, and its clock with it.
+        # After a numerical blow-up MuJoCo stops, and so does its clock.
         due = begun[:, :1] + frame * np.arange(1, frames.shape[1] + 1)
         frames[(np.abs(frames[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
         return frames
@@ -123,7 +123,7 @@ class Physics:
 
         Args:
             models: one for all or one for each.
-            starts: [B, 3] poses at which they stand (m, m, rad).
+            starts: [B, 3] first poses (m, m, rad).
             commands: [B, T, joints] angles, rad.
             reach: a trial ends, with NaN from the next chunk on, when the robot is this far from
                 its start, m.

@@ -2,12 +2,12 @@
 
 From Yosinski et al. 2011: the mass with its computer, the servos (nine AX-12+), their limits, 40
 commands a second. From the makers of the servos: 53.5 g each, a stall torque of 1.5 N m, no load
-speed 6.2 rad/s at 12 V; a servo gives its full torque from 32 positions (0.16 rad) off its goal on.
-From the authors' programs (github.com/yosinski/QuadraTot): a speed limit of 250 units (2.9 rad/s).
-From their simulator of it (quadrasim, by Glette): where the hips are, the lengths of the legs, the
-size of the two halves. Guesses are how the mass is shared, the torque that the servos have at the
-voltage that they got, all friction, the slip of the feet, and where the tracked light is. They were
-fixed before anything was compared with the real robot.
+speed 6.2 rad/s at 12 V; a servo gives its full torque at 32 positions (0.16 rad) from its goal or
+more. From the authors' programs (github.com/yosinski/QuadraTot): a speed limit of 250 units (2.9
+rad/s). From their simulator of it (quadrasim, by Glette): the positions of the hips, the lengths of
+the legs, the size of the two halves. The distribution of the mass, the servos' torque at their
+voltage, all friction, the slip of the feet, and the position of the tracked light are guesses. They
+were fixed before any comparison with the real robot.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from neurosim.base.errors import UserError
 from neurosim.robots.quadratot import FRAME, JOINTS, LEGS, LIMITS, READY, angles_of
 from neurosim.simulators.legged.build import Amount, LeggedBuild, Positive, friction_of, numbers
 
-#: Of each servo, kg.
+#: Mass of each servo, kg.
 SERVO = 0.0535
-#: The hips: ahead of or behind the axis' middle, to the side, and below it, m.
+#: Positions of the hips: ahead of or behind the axis' middle, to the side, and below it, m.
 HIP = (0.064, 0.07, 0.055)
 UPPER = 0.10  # length of the upper legs, m
 #: Each half: thickness along the axis, width, and the height of its top above the axis, m.
@@ -39,29 +39,29 @@ UPPER_FRACTION = 0.45
 
 @dataclass(frozen=True)
 class QuadraTot(LeggedBuild):
-    """How a QuadraTot is built.
+    """The build of a QuadraTot.
 
-    Its pose is that of a light on its back, which a camera above saw. Falls do not end a trial.
+    Its pose is that of a light on its back, which a camera above tracked. Falls do not end a trial.
 
     Attributes:
         mass: of the whole robot, kg.
         leg: mass of each leg, with the servo in it, kg.
-        rear: fraction of the rest of the mass that is in the rear half.
+        rear: fraction of the remaining mass that is in the rear half.
         shin: length of each lower leg, m.
-        belly: how far the halves reach down below the hips, m.
-        light: how far ahead of the middle the light is, m.
+        belly: height of the halves below the hips, m.
+        light: distance of the light ahead of the middle, m.
         friction: Coulomb's coefficient of the lower legs, along them.
         belly_friction: of the halves and the upper legs.
         gravity: m/s^2.
         slip: time constant of the feet's creep, s.
-        slip_ratio: how much more a foot creeps to the side than along the leg.
+        slip_ratio: ratio of a foot's creep to the side over that along the leg.
         p: gain of the servos, N m/rad.
-        d: how much torque a servo loses for its speed, N m s/rad.
-        torque: most that a servo gives, N m.
-        speed: at which a servo's goal moves at most, rad/s.
+        d: loss of a servo's torque with its speed, N m s/rad.
+        torque: largest torque of a servo, N m.
+        speed: largest speed of a servo's goal, rad/s.
         joint_friction: dry friction of each servo, N m.
         timestep: s.
-        iterations: most that the solver makes in a step.
+        iterations: largest number of the solver's iterations in a step.
         cone: of friction, ``elliptic`` or ``pyramidal``.
         armature: inertia of each servo's motor and gear, kg m^2.
         damping: of each joint, N m s/rad.

@@ -1,15 +1,14 @@
 """The simulator of the walking robot, with the adjustable parameters of Zagal et al. 2004.
 
-Section 5.1.2: four masses, four parameters of the dynamics, four of the joints. The paper's slip
-in two directions is that of ODE, where a foot creeps with a speed proportional to the force.
-MuJoCo's friction creeps so, too, as its constraints are soft: with a speed that is about
-proportional to the tangential force and to the time constant of ``solreffriction``. That is one
-for both directions; what differs between them is the regularisation, which goes with one over the
-square of a direction's friction coefficient. So ``slip`` is the time constant, and ``slip_ratio``
-says how much more a foot creeps to the side than ahead; the coefficient to the side is divided by
-its square root.
+Section 5.1.2: four masses, four parameters of the dynamics, four of the joints. The paper's slip in
+two directions is that of ODE, where a foot creeps with a speed proportional to the force. MuJoCo's
+friction also creeps, because its constraints are soft: with a speed about proportional to the
+tangential force and to the time constant of ``solreffriction``. This constant is the same for both
+directions; their regularisation differs, in proportion to one over the square of a direction's
+friction coefficient. So ``slip`` is the time constant, and ``slip_ratio`` is the ratio of a foot's
+creep to the side over that ahead; the coefficient to the side is divided by its square root.
 
-The model is compiled again for other parameters: inertias go with the masses.
+The model is compiled again for other parameters, because inertias depend on the masses.
 """
 
 from __future__ import annotations
@@ -43,26 +42,26 @@ class LeggedSimulator(Simulator):
     """A four-legged robot on a flat floor; commands are joint angles (rad), held for a duration of
     whole frames: 8 ms of the walking robot, 25 ms of a QuadraTot.
 
-    A walking robot that has fallen has no pose: NaN. The state behind the pose is MuJoCo's.
+    A walking robot that has fallen has no pose: NaN. After the pose, the state has MuJoCo's.
 
     Attributes:
-        build: how it is built.
+        build: the robot's build.
     """
 
     kind = "legged"
 
     def __init__(self, build: LeggedBuild | None = None, physics: Physics | None = None):
-        """Build it.
+        """Make the simulator of a build.
 
         Args:
-            build: by default as we think the walking robot is.
-            physics: threads and memory of another one, to be shared.
+            build: by default the walking robot's.
+            physics: threads and memory of another simulator, to share them.
 
         Raises:
             UserError: if MuJoCo is not installed, or a parameter is out of bounds.
         """
         self.build: LeggedBuild = build or Build()
-        adjustables(self.build, self.build.ranges)  # checks that they are within bounds
+        adjustables(self.build, self.build.ranges)  # checks the bounds
         self._shared = physics
 
     @cached_property
@@ -72,12 +71,12 @@ class LeggedSimulator(Simulator):
 
     @cached_property
     def physics(self) -> Physics:
-        """The physics that it runs in."""
+        """The physics of its trials."""
         return self._shared or Physics(self.model, make=type(self.build))
 
     @property
     def command_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """The joints' angles (rad), and for how long they are held (s)."""
+        """The joints' angles (rad), and their duration (s)."""
         return (*self.build.joints, "duration")
 
     @property
@@ -104,7 +103,7 @@ class LeggedSimulator(Simulator):
         """Return the simulator with other values [K] of its parameters.
 
         Raises:
-            UserError: if there are not as many, or one is out of bounds.
+            UserError: if their number is wrong, or one is out of bounds.
         """
         names = tuple(self.build.ranges)
         if np.shape(values) != (len(names),):
@@ -138,7 +137,7 @@ class LeggedSimulator(Simulator):
                 f"walking has a step: --step {self.build.frame:g})"
             )
         frames = np.maximum(np.rint(given[:, -1] / self.build.frame), 1).astype(int)
-        for count in np.unique(frames):  # one, where all are held for as long
+        for count in np.unique(frames):  # one, if all have the same duration
             rows = frames == count
             held = np.repeat(given[rows, None, :-1], count, axis=1)
             states = np.ascontiguousarray(before[rows, 3:])
@@ -155,14 +154,14 @@ class LeggedSimulator(Simulator):
         return _OpenLoop(self, controller, episode)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the settings that make it again: its threads are not copied with it."""
+        """Return the settings for a copy, which gets its own threads."""
         return {"build": self.build, "_shared": None}
 
     def write(self, folder: str | Path) -> None:
         """Write it as a folder with ``simulator.json``.
 
         Raises:
-            UserError: if something stands there.
+            UserError: if the folder exists.
         """
         content = {
             "kind": self.kind,
@@ -191,7 +190,7 @@ def _fixed(value: Any) -> Any:
 
 
 class _OpenLoop:
-    """Rollouts of commands that are known beforehand."""
+    """Rollouts of commands that are known in advance."""
 
     def __init__(self, simulator: LeggedSimulator, controller: Any, episode: Episode):
         self._simulator, self._controller = simulator, controller
@@ -203,7 +202,7 @@ class _OpenLoop:
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Draw where each robot stands; nothing else is uncertain."""
+        """Draw each robot's start; nothing else is uncertain."""
         return draw_samples(self._simulator, starts, rng, placing, len(self._times))
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:

@@ -1,13 +1,13 @@
 """Five numbers that correct a motion network: for another floor, battery or wheel.
 
-A robot of two wheels that travel l and r times as far as was learned, whose track is another and
-which drifts, moves by a linear map of forward way and turn: four numbers, with those of any planar
+If two wheels travel l and r times as far as was learned, the track has another width and the robot
+drifts, its motion is a linear map of forward distance and turn: four numbers, which fit any planar
 robot. The fifth is slip to the outside of bends, in proportion to the acceleration to the side.
 
-It is a correction of twists, not of displacements: within a command a robot may turn round more
-than once, and then a displacement does not say by which twist it came about. A drive model's pieces
-and what the networks add to them are twists, and linear; so a corrected simulator costs what it
-did, and a command may be cut as before.
+It is a correction of twists, not of displacements: within a command a robot may turn by more than a
+whole turn, and then a displacement does not determine its twist. A drive model's pieces and the
+networks' additions to them are twists, and linear. So a corrected simulator is as fast as before,
+and a command may be cut as before.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ class Correction(Checked):
         return adjustables(self, _RANGES)
 
     def of_twists(self, twists: Tensor) -> Tensor:
-        """Return twists [..., 3] (m, m, rad) corrected, but for the slip."""
+        """Return corrected twists [..., 3] (m, m, rad), without the slip."""
         vx, vy, turn = twists.unbind(-1)
         ahead, turned = self.forward * vx + self.drift * turn, self.yaw * vx + self.turn * turn
         return torch.stack([ahead, vy, turned], dim=-1)
 
     def of_drive(self, drive: DriveModel) -> DriveModel:
-        """Return a drive model corrected.
+        """Return a corrected drive model.
 
         The slip follows from the part of the motion that is linear in the speeds; it is a sum of
         their products, which a drive model has.

@@ -1,8 +1,7 @@
-"""The input of a motion network that follows from its other inputs.
+"""The input of a motion network that is computed from its other inputs.
 
-A caster swings round by the angle by which the direction of motion changes, this way or that. Where
-the motion is reversed the two ways meet: a jump that smooth functions of the other inputs cannot
-have.
+A caster swings round by the change of the direction of motion, to either side. At a reversal the
+side changes: a jump that smooth functions of the other inputs cannot have.
 """
 
 from __future__ import annotations
@@ -15,30 +14,30 @@ from torch import Tensor
 
 from neurosim.simulators.motion.noise import CommandFeatures
 
-#: A direction that changes by less than this, half turns, does not: what is left of an earlier
-#: command, or rounding in float32, must not say which way it changed.
+#: A change of direction below this, in half turns, counts as none: the rest of an earlier command,
+#: or rounding in float32, must not determine its side.
 SAME = 1e-4
 
 
 @dataclass(frozen=True)
 class Derived:
-    """Which derived input stands after the others.
+    """The derived input after the others, if any.
 
     Attributes:
         swing: if not None, there is one for the change of direction: the angle from (prev_a,
-            prev_b) to (a, b), a and b being what a command drives, in half turns from -1 - swing up
-            to 1 - swing; 0 where the robot stands before or after. So ``swing`` (in half turns)
-            says which way round a reversal counts, and how nearly one it may be.
+            prev_b) to (a, b), a and b being the driven inputs, in half turns from -1 - swing up
+            to 1 - swing; 0 if the robot stands before or after. So ``swing`` (in half turns)
+            defines the side of a reversal, and how close to a reversal this holds.
     """
 
     swing: float | None = None
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of derived inputs."""
         return int(self.swing is not None)
 
     def append(self, columns: CommandFeatures, x: Tensor) -> Tensor:
-        """Return scaled inputs [B, I] with the derived one behind them, [B, I + len(self)].
+        """Return scaled inputs [B, I] followed by the derived one, [B, I + len(self)].
 
         Args:
             columns: of the inputs.
@@ -48,7 +47,7 @@ class Derived:
             return x
         now, before = x[:, list(columns.driven)], x[:, list(columns.before)]
         both = (now != 0).any(1) & (before != 0).any(1)
-        # The angle of what stands is not used; at 0, 0 its gradient would not be finite.
+        # The angle of a standing robot is not used; at 0, 0 its gradient would not be finite.
         now, before = (torch.where(both.unsqueeze(1), speeds, 1.0) for speeds in (now, before))
         angle = torch.atan2(now[:, 1], now[:, 0]) - torch.atan2(before[:, 1], before[:, 0])
         turns = angle / math.pi
@@ -58,5 +57,5 @@ class Derived:
 
 
 def can_swing(columns: CommandFeatures) -> bool:
-    """Return whether a command drives two inputs, both remembered: a direction that changes."""
+    """Return whether a command drives two inputs with previous values, which have a direction."""
     return len(columns.driven) == 2 and min(columns.before) >= 0

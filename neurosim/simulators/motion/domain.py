@@ -1,9 +1,9 @@
-"""Where there were rows: which commands a motion network has learned from.
+"""The domain of a motion network: the commands from which it has learned.
 
-Ranges alone do not tell a gap from a corner: a robot that was never commanded to turn left quickly
-may still have had every command around that. So the space of commands is cut into cells, and each
-is marked that lies near enough to some row. Whether a command is like those that were recorded is
-one look at a cell, however many rows there were; so evolution can ask it of every command.
+Ranges alone do not show gaps: a robot may never have turned left quickly, although each number of
+this command was recorded. So the space of commands is cut into cells, and each cell near a row is
+marked. Then one look at a cell tells whether a command is like the recorded ones, for any number of
+rows, so that evolution can check every command.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from neurosim.base.threads import on_cores
 #: Commands may leave the ranges by this fraction of their width, or of as many rows' width,
 #: if that is more: the largest recorded command is not quite the largest intended one.
 SLACK, SLACK_ROWS = 0.05, 6.0
-#: A difference of durations counts so much beside one of speeds, each over its largest: the same
-#: motion for another time is no other motion.
+#: Weight of a difference of durations relative to one of speeds, each over its largest value: the
+#: same motion for another time is not another motion.
 TIME_WEIGHT = 0.25
 #: A command is near a row within :data:`MARGIN` (more by :data:`FEW` over the number of rows) times
 #: the distance within which this fraction of the rows have a neighbour.
 NEIGHBOURS, MARGIN, FEW = 0.98, 1.0, 14.0
-#: Neighbours are of another one of so many stretches of time: rows that follow each other may be
-#: alike because of that.
+#: Number of stretches of time. Neighbours are from different ones, because rows that follow each
+#: other may be similar.
 STRETCHES = 24
-#: At most so many rows say where the others are; so many cells a column has, and one of durations;
-#: so many all have together.
+#: Largest number of rows for distances; number of cells of a column, and of durations; largest
+#: number of all cells.
 _MOST_ROWS, _MOST_CELLS, _CELLS, _TIME_CELLS = 8000, 32768, 64, 8
 
 
@@ -39,12 +39,12 @@ class Domain:
     """The commands that a simulator has learned from.
 
     Attributes:
-        names: of the command's columns, [C].
+        names: names of the command's columns, [C].
         lowest, highest: of each column, [C], in the dataset's units.
-        rows: how many commands there were.
-        reach: commands nearer than this to one of them are like it; distances are of columns over
-            their largest magnitude, a duration's times :data:`TIME_WEIGHT`.
-        seen: cells [N_1, ..., N_C], 1 where a row is within reach and else 0, uint8; each column's
+        rows: number of commands.
+        reach: distance below which commands count as alike; columns are divided by their largest
+            magnitude, and durations multiplied by :data:`TIME_WEIGHT`.
+        seen: cells [N_1, ..., N_C], uint8, 1 if a row is within reach, else 0; each column's
             cells are of equal width, from ``lowest`` to ``highest`` with the slack at both ends.
 
     Raises:
@@ -70,14 +70,14 @@ class Domain:
         low, high = _widened(self.lowest, self.highest, self.slack)
         shape = np.array(self.seen.shape, np.float64)
         cells = np.ascontiguousarray(self.seen, np.uint8)
-        # Tuples, so that the loop over columns is unrolled; a cell is a byte.
+        # Tuples unroll the loop over columns; a cell is a byte.
         columns = low, shape / (high - low), shape - 1.0
         table = *(tuple(part.tolist()) for part in columns), cells.strides, cells.ravel()
         object.__setattr__(self, "_table", table)
 
     @property
     def slack(self) -> float:
-        """By which fraction of its width a range may be left."""
+        """Fraction of its width by which a range may be exceeded."""
         return slack_of(self.rows)
 
     @property
@@ -87,7 +87,7 @@ class Domain:
         return dict(zip(self.names, ends, strict=True))
 
     def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether commands [..., C] are like some that were learned from, [...]."""
+        """Return whether commands [..., C] are like some of the data, [...]."""
         shape = commands.shape[:-1]
         flat = np.ascontiguousarray(commands, np.float64).reshape(-1, len(self.names))
         return _look_up(flat, *self._table).reshape(shape)  # type: ignore[attr-defined]
@@ -99,10 +99,10 @@ class Domain:
         """Find the domain of commands.
 
         Args:
-            names: of the columns; ``duration`` (s) is one that counts less.
+            names: of the columns; ``duration`` (s) counts less.
             commands: [N, C] in the order of time.
-            begins: whether what a command did in its first moments was learned too: then shorter
-                ones are supported by longer ones, down to 0 s.
+            begins: whether the beginnings of commands were learned, too: then longer commands
+                support shorter ones, down to 0 s.
 
         Raises:
             ValueError: if there is no command.
@@ -132,21 +132,21 @@ class Domain:
         axes = [a + w * (np.arange(n) + 0.5) for a, w, n in zip(low, cell, shape, strict=True)]
         middles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(names))
         away = _nearest(middles / scale, few, timed if begins else -1, stretch[:0])
-        # A row's own cell is always seen, and most of what is within reach of it.
+        # A row's own cell is always marked, and most cells within its reach.
         half = 0.5 * float(np.linalg.norm(cell / scale))
         seen = (away <= max(reach + 0.5 * half, half)).reshape(shape).astype(np.uint8)
         return cls(names, lowest, highest, len(commands), reach, seen)
 
 
 def slack_of(rows: int) -> float:
-    """Return by which fraction of its width a range of so many rows may be left."""
+    """Return the fraction of its width by which a range of ``rows`` rows may be exceeded."""
     return max(SLACK, SLACK_ROWS / rows)
 
 
 def _widened(
     lowest: NDArray[np.float64], highest: NDArray[np.float64], slack: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return lowest and highest with the slack; of a column with one value, of that value."""
+    """Return lowest and highest with the slack, which for a single value is that of this value."""
     width = highest - lowest
     width = np.where(width > 0, width, np.maximum(np.abs(lowest), np.abs(highest)))
     more = slack * np.where(width > 0, width, 1.0)
@@ -164,12 +164,12 @@ def _shape_of(columns: int, timed: int) -> NDArray[np.int64]:
 
 
 def _nearest(points: NDArray, rows: NDArray, timed: int, stretch: NDArray) -> NDArray:
-    """Return how far each point [N, C] is from the nearest row [M, C].
+    """Return each point's [N, C] distance from the nearest row [M, C].
 
     Args:
         points, rows: scaled commands.
-        timed: the column in which longer rows are not away at all, or -1.
-        stretch: [N] where points are the rows: those of the own stretch do not count; else empty.
+        timed: the column in which longer rows have distance 0, or -1.
+        stretch: [N] if points are the rows: rows of the same stretch do not count; else empty.
     """
     distances = np.empty(len(points))
 
@@ -214,13 +214,13 @@ def _look_up(
     step: tuple[int, ...],
     cells: NDArray,
 ) -> NDArray:
-    """Return whether the cell that each of the commands [N, C] lies in was seen, [N]."""
+    """Return whether the cell of each of the commands [N, C] is marked, [N]."""
     supported = np.empty(len(commands), np.bool_)
     for n in range(len(commands)):
         place, inside = 0, True
         for c in range(len(low)):
             at = (commands[n, c] - low[c]) * per_unit[c]
-            # What is not a number is outside too; the upper end is inside.
+            # NaN is outside, too; the upper end is inside.
             within = (at >= 0.0) & (at <= last[c] + 1.0)
             inside &= within
             at = at if within else 0.0

@@ -1,24 +1,24 @@
-r"""The drive model: how a robot would move if its actuators followed simple laws.
+r"""The drive model: the motion of a robot whose actuators follow simple laws.
 
-Each input that a command drives (a wheel's speed, a forward speed, a steering angle) is taken for
-an actuator. A command begins to act after a delay, in which those before it go on to act, each for
-as long as it was given. From the speed s that it has an actuator goes to its goal g, which follows
-from the command that acts, as a first-order lag whose rate of change is limited:
+Each driven input (a wheel's speed, a forward speed, a steering angle) counts as an actuator. A
+command begins to act after a delay; until then the earlier ones act, each for its duration. An
+actuator's speed s approaches its goal g, which the acting command sets, with a first-order lag and
+a limited rate of change:
 
 .. math:: ds/dt = \mathrm{clip}((g - s) / \mathrm{lag}(s, g), -\mathrm{rate}, \mathrm{rate})
 
-The lag is another where the speed is above its goal in magnitude, and where the goal is to stand.
-Static friction holds an actuator that starts or turns round until the goal, summed up over time,
-has overcome it. Within its dead band it stands; beyond it the goal is a static curve of the
-command, forwards and backwards each of its own, which need not rise. The speeds, and their products
+The lag has another value if the magnitude of the speed is above that of the goal, and if the goal
+is 0. Static friction holds an actuator that starts or reverses until the integral of the goal has
+overcome it. Within its dead band it stands; beyond it the goal is a static curve of the command,
+separate for forwards and backwards, which need not rise. The speeds, and their products
 by pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at
 small steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
 
-So what is under way where a command begins (:class:`Underway`) says all about the commands before
-it, and speeds and distances until any instant follow in closed form. The pose does by pieces of
-constant twist: while the speeds change, in :data:`PHASES`, and one more for the rest.
+So the actuators' state at the beginning of a command (:class:`Underway`) has all effects of the
+earlier commands, and speeds and distances at any instant follow in closed form. The pose follows
+from pieces of constant twist: :data:`PHASES` while the speeds change, and one more for the rest.
 The real motion differs; the networks learn that difference.
 """
 
@@ -34,41 +34,41 @@ from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
 
-#: Pieces of constant twist while the speeds change, and how many time constants that lasts.
+#: Number of pieces of constant twist while the speeds change, and their duration in time constants.
 PHASES, SETTLED = 2, 2.5
 
-#: How many numbers a static curve has beside its slope.
+#: Number of coefficients of a static curve in addition to its slope.
 CURVES = 6
 
-#: Static friction holds an actuator that stands; one of this speed, a fraction, it no longer holds.
+#: Speed, as a fraction, from which static friction no longer holds an actuator.
 MOVING = 0.02
 
-#: Slower is standing: rounding is not to decide which way a wheel moves.
+#: Speed below which an actuator stands, so that rounding does not decide a wheel's direction.
 STILL = 1e-9
 
-#: Speeds that differ by less are alike: what is left of an earlier command after seconds, or lost
-#: in float32, is not to decide whether a wheel slows down.
+#: Difference below which speeds count as equal, so that remainders of earlier commands and rounding
+#: in float32 do not decide whether a wheel slows down.
 ALIKE = 1e-4
 
-#: No piece of a command is shorter, s.
+#: Shortest piece of a command, s.
 SHORTEST = 1e-3
 
-#: Commands that wait for the delay to pass are kept apart if they are given for so long, s;
-#: shorter ones become one, which asks for their mean. So a state has a fixed width.
+#: Shortest duration of a pending command that is kept separately, s; shorter ones become one
+#: command with their mean. So a state has a fixed width.
 SHORTEST_COMMAND = 0.02
 
-#: A command that acts for longer than this while another waits is cut into :data:`PHASES`, s.
+#: Time after which a command that acts while another waits is cut into :data:`PHASES`, s.
 LONG_WAIT = 0.1
 
 
 class Approach(NamedTuple):
-    """How actuators come from one speed to another; tensors [B, C].
+    """The approach of actuators from one speed to another; tensors [B, C].
 
     Attributes:
-        left: what is left of the difference, the goal minus the speed reached.
-        missed: its integral since the approach began, s: the way lost.
-        settling: when the speed has settled, s.
-        push: how far static friction is overcome, see :class:`Underway`.
+        left: remaining difference, the goal minus the speed reached.
+        missed: its integral since the approach began, s: the lost distance.
+        settling: time at which the speed has settled, s.
+        push: progress against static friction, see :class:`Underway`.
     """
 
     left: Tensor
@@ -82,11 +82,11 @@ class Underway(NamedTuple):
 
     Attributes:
         speed: of the actuators, [B, C].
-        push: goals of actuators that stood, summed up over time, [B, C] s, since they last moved or
-            were commanded to stand: at ``stick`` an actuator breaks loose.
-        goals: of the commands before, the oldest first, [B, N, C].
-        acts: when these begin to act, [B, N] s since the command began; what is not above 0 does
-            already, and the last of those is what the actuators obey.
+        push: integral of the goals of standing actuators, [B, C] s, since they last moved or were
+            commanded to stand: at ``stick`` an actuator begins to move.
+        goals: of the earlier commands, the oldest first, [B, N, C].
+        acts: times at which these begin to act, [B, N] s since the command began. Those at 0 or
+            below act already; the actuators follow the last of them.
     """
 
     speed: Tensor
@@ -101,18 +101,19 @@ class DriveModel:
 
     Attributes:
         lag: time constants, [C] s.
-        slowing: of the lag where a speed is above its goal in magnitude: a factor, [C].
-        braking: of the lag where it is commanded to stand: a factor, [C].
-        rate: the most that a speed changes, [C] 1/s.
+        slowing: factor of the lag if a speed is above its goal in magnitude, [C].
+        braking: factor of the lag if the goal is to stand, [C].
+        rate: largest rate of change of a speed, [C] 1/s.
         stick: static friction; an actuator that starts or reverses waits stick over its commanded
         speed, [C] s.
-        curve: of the speed by the command, coefficients of :func:`curvature`, [C, 6].
-        delay: from a command to the first answer, [1] s.
+        curve: coefficients of :func:`curvature` for the speed by the command, [C, 6].
+        delay: from a command to its first effect, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].
-        turning: of what stands for the rate of turn in the losses, by speeds, [C]; zeros if not
-            given.
-        losses: of the twist by speeds times the magnitude of that, [C, 3]; zeros if not given.
-        slots: how many commands may be waiting or acting where another one begins.
+        turning: combination of speeds that represents the rate of turn in the losses, [C]; zeros by
+            default.
+        losses: of the twist by speeds times the magnitude of this combination, [C, 3]; zeros by
+            default.
+        slots: largest number of pending or acting commands when another one begins.
     """
 
     lag: Tensor
@@ -127,7 +128,7 @@ class DriveModel:
     losses: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
 
-    #: Laws of each actuator, and all that a drive model consists of.
+    #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
     NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", "kinematics", "turning", "losses")
 
@@ -153,7 +154,7 @@ class DriveModel:
 
     @staticmethod
     def shapes(count: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of the tensors for so many actuators."""
+        """Return the shapes of the tensors for a number of actuators."""
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
         return {**each, **rest, "turning": (count,), "losses": (count, 3)}
@@ -168,7 +169,7 @@ class DriveModel:
         return DriveModel(**{name: getattr(self, name).to(device) for name in self.NAMES})
 
     def shaped(self, command: Tensor) -> Tensor:
-        """Return the speeds that commands [..., C], scaled to -1..1, come to in the end."""
+        """Return the final speeds of commands [..., C], scaled to -1..1."""
         return command * (1.0 + (curvature(command) * self.curve).sum(-1))
 
     def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
@@ -176,7 +177,7 @@ class DriveModel:
 
         Args:
             speed: of the actuators.
-            goal: of the command that acts, [B, C]; None: to go on at that speed.
+            goal: of the acting command, [B, C]; None: to continue at that speed.
         """
         waits = int(self.slots > 0)
         goals = (speed if goal is None else goal).unsqueeze(1)[:, :waits]
@@ -186,9 +187,9 @@ class DriveModel:
     def approach(
         self, before: Tensor, goal: Tensor, time: Tensor, push: Tensor | None = None
     ) -> Approach:
-        """Return how far speeds have come from ``before`` to ``goal`` [B, C] after ``time`` [B].
+        """Return the approach of speeds from ``before`` to ``goal`` [B, C] after ``time`` [B].
 
-        There is no delay in it: ``goal`` is that of the command that acts.
+        There is no delay: ``goal`` is that of the acting command.
         """
         push = torch.zeros_like(before) if push is None else push
         difference, speed = goal - before, goal.abs().clamp(min=STILL)
@@ -196,7 +197,7 @@ class DriveModel:
         above = speed < before.abs() - ALIKE
         slow = self.lag * torch.where(moves, self.slowing, self.braking)
         lag = torch.where(above | ~moves, slow, self.lag)
-        # From a higher speed the other way round it comes to its goal's magnitude first.
+        # From a higher speed in the other direction it first reaches its goal's magnitude.
         turns = moves & (before * goal < 0.0)
         first = turns & above
         since = torch.where(first, 2.0 * speed, size)
@@ -206,14 +207,14 @@ class DriveModel:
         faded = torch.minimum(size, linear) / torch.minimum(since, linear).clamp(min=STILL)
         until = torch.where(first, fast + slow * faded.clamp(min=1.0).log(), 0.0)
         lag = torch.where(first, self.lag, lag)
-        # It is held at the instant at which this is left of the difference: at speed 0, or at once.
+        # Friction holds it when this difference remains: at speed 0, or at once.
         then = torch.minimum(since, torch.where(goal * before > 0.0, since, speed))
         push = torch.where(turns & (before.abs() > STILL), 0.0, push)
         held = (1.0 - before * goal.sign() / MOVING).clamp(0.0, 1.0)
         starts = moves & (turns | (before.abs() < speed))
         stands = (held * self.stick - push).clamp(min=0.0) * starts / speed
         linear = self.rate * lag
-        ramp = (since - linear).clamp(min=0.0) / self.rate  # how long the limit holds
+        ramp = (since - linear).clamp(min=0.0) / self.rate  # duration of the limited rate
         bow = torch.minimum(since, linear) / then.clamp(min=STILL)
         zero = ramp + lag * bow.clamp(min=1.0).log()
         zero = torch.where(then < linear, zero, (since - then) / self.rate)
@@ -231,7 +232,7 @@ class DriveModel:
         return Approach(sign * left, sign * missed, settling, push)
 
     def _fallen(self, size: Tensor, lag: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the rest of differences after times [B, C], and their integral until then."""
+        """Return the remaining differences after times [B, C], and their integral until then."""
         linear = self.rate * lag
         ramp = (size - linear).clamp(min=0.0) / self.rate
         on_ramp, fading = torch.minimum(time, ramp), torch.minimum(size, linear)
@@ -242,7 +243,7 @@ class DriveModel:
         return left, missed + torch.where(after, fading * lag * (1.0 - decay), 0.0)
 
     def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return speeds and push [B, C] after a command ``commanded`` [B, C] of ``time`` s."""
+        """Return speeds and push [B, C] after a command of ``time`` s with goals [B, C]."""
         speed, push = under.speed, under.push
         for goal, span in self._turns(under, commanded, time):
             approach = self.approach(speed, goal, span, push)
@@ -252,7 +253,7 @@ class DriveModel:
     def _turns(
         self, under: Underway, commanded: Tensor, time: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
-        """Return the goals [B, C] that act one after the other, and for how long, [B] s each."""
+        """Return the goals [B, C] that act one after the other, and their durations, [B] s each."""
         delay = self.delay.to(time).expand_as(time)
         begins = [*under.acts.clamp(min=0.0).unbind(1), delay] if self.slots else [0.0 * time]
         ends = [torch.minimum(one, time) for one in (*begins[1:], time)]
@@ -268,7 +269,7 @@ class DriveModel:
     ) -> tuple[Tensor, Tensor]:
         """Return speeds and push [B, C] after ``time`` [B], see :meth:`approach`."""
         acts, speed = time.unsqueeze(-1) > 0.0, goal - approach.left
-        # What rounding leaves of the two is no motion; in float64 it is below STILL.
+        # The remainder after rounding is not motion; in float64 it is below STILL.
         rounding = 8.0 * torch.finfo(speed.dtype).eps * goal.abs()
         speed = torch.where(speed.abs() < rounding.clamp(min=STILL), 0.0, speed)
         return torch.where(acts, speed, before), torch.where(acts, approach.push, push)
@@ -279,18 +280,18 @@ class DriveModel:
         """Return the state at the end of a command.
 
         Args:
-            under: where it began.
+            under: the state at its beginning.
             commanded: its goals, [B, C].
-            time: how long it was given, [B] s.
-            reached: of :meth:`reached`.
+            time: its duration, [B] s.
+            reached: result of :meth:`reached`.
         """
         if not self.slots:
             return Underway(*reached, under.goals, under.acts)
         delay = self.delay.to(time).expand_as(time)
         acts = torch.cat([under.acts, delay.unsqueeze(1)], 1) - time.unsqueeze(1)
         goals = torch.cat([under.goals, commanded.unsqueeze(1)], 1)
-        # The oldest is forgotten, unless it acts: then, and where both are short, the newest two
-        # become one.
+        # The oldest is dropped unless it acts; then, or if both are short, the newest two become
+        # one.
         lasts = acts[:, -1] - acts[:, -2]
         short = (torch.maximum(time, lasts) < SHORTEST_COMMAND * (1.0 - 1e-6)) & (acts[:, -2] > 0)
         join = ((acts[:, 1] > 0.0) | short).unsqueeze(1)
@@ -304,8 +305,8 @@ class DriveModel:
     def pieces(self, under: Underway, commanded: Tensor, time: Tensor) -> list[Tensor]:
         """Return the features of each piece of constant twist, tensors [B, K].
 
-        The last is that after the speeds have settled; before it come :data:`PHASES` of each
-        command that acts.
+        The last piece is after the speeds have settled; before it there are :data:`PHASES` for each
+        acting command.
         """
         pieces = []
         speed, push = under.speed, under.push
@@ -332,7 +333,7 @@ class DriveModel:
     ) -> list[Tensor]:
         """Return the features of the twists from one instant [B] to the next, [B, K] each.
 
-        The last is that until ``time`` [B], of which the approach is ``end``.
+        The last instant is ``time`` [B], whose approach is ``end``.
         """
         pieces = []
         before, began = torch.zeros_like(goal), torch.zeros_like(time)
@@ -344,12 +345,12 @@ class DriveModel:
         return pieces
 
     def phases(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the displacement [B, 3] while the speeds change, and the twist of what follows.
+        """Return the displacement [B, 3] while the speeds change, and the twist of the rest.
 
-        The twist [B, 3] (m, m, rad) is that of all the rest of the time.
+        The twist [B, 3] (m, m, rad) is that of the whole remaining time.
 
         Args:
-            under: at the beginning.
+            under: the state at the beginning.
             commanded: goals of the command, [B, C].
             time: since the beginning, [B] s.
         """
@@ -362,7 +363,7 @@ class DriveModel:
 
 
 def curvature(command: Tensor) -> Tensor:
-    """Return by what goals differ from commands [..., C], as fractions of these, [..., C, 6].
+    """Return features of the goals' deviation from commands [..., C], as fractions, [..., C, 6].
 
     They are |u|, |u|^2, |u|^3 and, of opposite sign forwards and backwards, 1, |u|, |u|^2.
     """
@@ -372,25 +373,25 @@ def curvature(command: Tensor) -> Tensor:
 
 
 def features_of(count: int) -> int:
-    """Return how many numbers a twist is linear in: so many speeds, and their products."""
+    """Return the number of features of a twist for ``count`` speeds: these, and their products."""
     return count + count * (count + 1) // 2
 
 
 def terms_of(count: int) -> int:
-    """Return how many numbers a twist is linear in: these, and losses of so many speeds."""
+    """Return the number of terms of a twist for ``count`` speeds: features, and losses."""
     return features_of(count) + count
 
 
 def motion_features(distance: Tensor, time: Tensor, turning: Tensor) -> Tensor:
     """Return the features in which twists are linear, [B, K].
 
-    Distances, time times products of mean speeds by pairs, and distances times the magnitude of
-    the speeds' combination that stands for the rate of turn.
+    They are distances, time times products of pairs of mean speeds, and distances times the
+    magnitude of the combination of speeds that represents the rate of turn.
 
     Args:
         distance: distances of actuators, [B, C].
-        time: that they took, [B] s.
-        turning: of the combination, [C].
+        time: their duration, [B] s.
+        turning: coefficients of the combination, [C].
     """
     count = distance.shape[-1]
     time = time.unsqueeze(-1)

@@ -34,13 +34,13 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
-#: The oldest version that is read: in earlier ones the dead band has another name.
+#: Oldest version that can be read: in earlier ones the dead band has another name.
 _OLDEST = 9
 
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")
 
-#: What simulator.json says of a noise model; its numbers stand beside the weights.
+#: The name of the noise model in simulator.json; its numbers are stored with the weights.
 NOISE = {
     "kind": "lognormal-and-sources-of-the-twist",
     "components": list(COMPONENTS),

@@ -1,15 +1,14 @@
-r"""The floor under a robot: a smooth map of how much of its motion is lost where.
+r"""The floor under a robot: a smooth map of the fraction of motion that is lost.
 
-Wheels slip more here than there, and what slips unequally on the left and on the right turns the
-robot. With the fraction :math:`s` of the motion that is lost at a place, a displacement :math:`d`
-and a turn :math:`\phi` become
+Slip differs between positions, and different slip on the left and on the right turns the robot.
+With the lost fraction :math:`s` at a position, a displacement :math:`d` and a turn :math:`\phi`
+become
 
 .. math:: d' = (1 - a s)\, d, \qquad \phi' = (1 - s)\, \phi + d \times \nabla s
 
-because of two wheels on either side of the middle the one that slips more falls behind. A
-displacement is followed in three pieces of its arc. The number :math:`a` says how much of the
-fraction the way ahead loses as well. The map is a sum of Gaussian bells on a grid; each member of
-an ensemble has its own.
+because of the two wheels the one that slips more falls behind. A displacement is computed in three
+pieces of its arc. The number :math:`a` is the part of the fraction that the distance ahead loses,
+too. The map is a sum of Gaussian bells on a grid; each member of an ensemble has its own.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from neurosim.base.kernels import kernel
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.maps import cell_of, cells_of
 
-#: Pieces of a displacement's arc.
+#: Number of pieces of a displacement's arc.
 PIECES = 3
 #: Distance of the bells' centres, and of the points of the map, in lengths of a bell.
 SPACING, CELL = 0.8, 0.25
@@ -37,10 +36,11 @@ class Floor:
     """A learned floor; all tensors are float64 and on the CPU.
 
     Attributes:
-        weights: [1 + M, NY, NX] of the bells: the mean's, and each member's.
+        weights: [1 + M, NY, NX] weights of the bells, of the mean and of each member.
         origin: [2] x and y of the first bell, m, board frame.
-        length: standard deviation of a bell, m; centres are :data:`SPACING` of it apart.
-        ahead: how much of the lost fraction the way loses too, 0..1.
+        length: standard deviation of a bell, m; the distance of centres is :data:`SPACING` times
+            it.
+        ahead: part of the lost fraction that the distance loses, too, 0..1.
         map: of each network, [1 + M, NY, NX, 3]: lost fraction, and its gradient (1/m).
     """
 
@@ -74,7 +74,7 @@ class Floor:
 
     @property
     def centres(self) -> Tensor:
-        """Where the bells are, [K, 2] m, in the order of their weights."""
+        """Positions of the bells, [K, 2] m, in the order of their weights."""
         rows, columns = (
             torch.arange(count, dtype=torch.float64) for count in self.weights.shape[1:]
         )
@@ -95,14 +95,14 @@ class Floor:
 
     @property
     def corner(self) -> Tensor:
-        """Where the first point of the map is, [2] m: two lengths beyond the first bell."""
+        """Position of the map's first point, [2] m: two lengths beyond the first bell."""
         return self.origin - 2.0 * self.length
 
     def moved(self, pose: Tensor, moved: Tensor, member: Tensor | int = -1) -> Tensor:
-        """Return displacements on this floor [B, 3] of those on an even one.
+        """Return displacements on this floor [B, 3] for those on an even floor.
 
         Args:
-            pose: where the robots are, [B, 3] m, m, rad.
+            pose: poses of the robots, [B, 3] m, m, rad.
             moved: displacements [B, 3] in their frames.
             member: of the ensemble, of all or of each [B]; -1: the mean.
         """
@@ -126,7 +126,7 @@ class Floor:
         return (1 - b) * near + b * far
 
     def arrays(self) -> dict[str, Any]:
-        """Return the floor as :class:`MotionModel` has it."""
+        """Return the floor's arrays for :class:`MotionModel`."""
         return {
             "floor_map": np.ascontiguousarray(self.map.numpy()),
             "floor_corner": np.ascontiguousarray(self.corner.numpy()),
@@ -140,7 +140,7 @@ TENSORS = ("weights", "origin")
 
 
 def even() -> dict[str, Any]:
-    """Return the arrays of a simulator that knows of no floor."""
+    """Return the arrays of a simulator without a floor."""
     return {
         "floor_map": np.empty((0, 0, 0, 3)),
         "floor_corner": np.zeros(2),
@@ -153,7 +153,7 @@ def pieces(pose: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
     """Return the middles of the pieces of arcs [B, PIECES, 2], and their chords, board frame.
 
     Args:
-        pose: where the arcs begin, [B, 3] m, m, rad.
+        pose: beginnings of the arcs, [B, 3] m, m, rad.
         moved: displacements [B, 3] in the frames there.
     """
     third = moved[:, 2].clamp(-math.pi, math.pi) / 3.0

@@ -1,7 +1,7 @@
-"""Hidden units that say how near an input is to one that was learned from.
+"""Hidden units that measure how near an input is to a training row.
 
 The mean of a Gaussian process with a squared-exponential covariance (Rasmussen and Williams 2006,
-section 2.2), restricted to some of its rows, is a sum of such units.
+section 2.2) on a subset of its rows is a sum of such units.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class KernelUnits:
-    """Units exp(-|(x - c) / l|^2 / 2) and what they weigh in the networks' outputs.
+    """Units exp(-|(x - c) / l|^2 / 2) and their weights in the networks' outputs.
 
     Attributes:
         centres: c of each unit, [K, J]: scaled inputs and derived ones.
         lengths: l of each input, [J].
-        weights: of the units in every network's output, as the simulator's genes, [M, O, K].
+        weights: of the units in every network's output, in the simulator's order of networks, [M,
+            O, K].
     """
 
     centres: Tensor
@@ -34,11 +35,11 @@ class KernelUnits:
             raise ValueError("the lengths of kernel units must be above 0")
 
     def __len__(self) -> int:
-        """Return how many units there are."""
+        """Return the number of units."""
         return len(self.centres)
 
     def units(self, x: Tensor) -> Tensor:
-        """Return the units [B, K] of networks' inputs [B, J]."""
+        """Return the units' values [B, K] for networks' inputs [B, J]."""
         return covariance(x, self.centres, self.lengths)
 
 

@@ -1,8 +1,9 @@
-"""The motion network, compiled: steps of robots that obey the same commands.
+"""The motion network, compiled: steps of robots with the same commands.
 
-They compute what :class:`MotionNetwork`, :class:`neurosim.simulators.motion.drive.DriveModel` and
-:func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. The part that follows
-from the command alone, the prediction of each ensemble member and the size of its noise, is
+The functions compute the same as :class:`MotionNetwork`,
+:class:`neurosim.simulators.motion.drive.DriveModel` and
+:func:`neurosim.simulators.motion.noise.disturb` for batches of tensors. The part that depends on
+the command alone, the prediction of each ensemble member and the size of its noise, is
 computed once for all robots.
 """
 
@@ -32,9 +33,9 @@ from neurosim.simulators.motion.floor import on_floor
 from neurosim.simulators.motion.noise import DRAWS, HEAVIEST, LEAST_CHORD, TINY
 from neurosim.simulators.motion.sensors import read
 
-#: Numbers that the size of the noise is, see :func:`spread`.
+#: Number of values of the noise's size, see :func:`spread`.
 SIZES = 10
-#: Numbers that the law of an actuator is, see :func:`_law`.
+#: Number of values of an actuator's law, see :func:`_law`.
 _LAW = 15
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
@@ -46,15 +47,15 @@ _ROUND = 1.5 * 2.0**52
 #: For exp(-x / 2) as a power of 2.
 HALF_LOG2_E = -0.5 / math.log(2.0)
 
-#: Units of a row are filled up to multiples of it with such that weigh nothing: what is left over
-#: beside whole vectors takes several times as long.
+#: The number of a row's units is filled up to a multiple of this by units without weight, because a
+#: rest after whole vectors takes several times as long.
 LANES = 16
-#: As :data:`neurosim.simulators.motion.network.HELD`.
+#: See :data:`neurosim.simulators.motion.network.HELD`.
 _HELD = 0.05
 
 
 class MotionModel(NamedTuple):
-    """A motion network's numbers: C-contiguous, float64 but for indices, which are int64.
+    """A motion network's numbers: C-contiguous, float64, indices int64.
 
     Networks are those of the mean (0) and of the members (1 + m); a row is one output of one
     network, ``3 * network + output``.
@@ -111,7 +112,7 @@ class MotionModel(NamedTuple):
 
 
 def scratch(a):
-    """Return the arrays that :func:`step` and :func:`sense` write to, see there."""
+    """Return the work arrays of :func:`step` and :func:`sense`, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
     under = (2 + a.slots) * actuators + a.slots
     size = 2 * inputs + (_LAW + 6) * actuators + 1 + under + len(a.exponents[0]) + len(a.centres[0])
@@ -136,15 +137,15 @@ def scratch(a):
 
 @kernel(forceinline=True)
 def step(a, states, command, z, work):
-    """Change the states [N, S] of robots that have had the same commands since their start.
+    """Change the states [N, S] of robots with the same commands since their start.
 
-    The columns are as :class:`MotionNetwork` says.
+    The columns are those of :class:`MotionNetwork`.
 
     Args:
         a: :class:`MotionModel`.
-        states: of robots that differ in pose, member and noise alone.
+        states: of robots that differ only in pose, member and noise.
         command: [C or more].
-        z: [N, DRAWS or more] numbers of the noise; N = 0: there is none.
+        z: [N, DRAWS or more] numbers of the noise; N = 0: none.
         work: of :func:`scratch`.
     """
     x, log2, law, memory, began, distance, units, nearness, means, sizes, known, moved = work
@@ -159,7 +160,7 @@ def step(a, states, command, z, work):
     if noisy:
         own_spread(a, x, sizes[0])
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
-    behind = 3 + 3 * count + 1  # where the displacement since the command began stands
+    behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
     for r in range(len(states)):
         own = states[r]
@@ -216,7 +217,7 @@ def _scaled(a, value, i):
 
 @kernel(forceinline=True)
 def _speed(a, value, c):
-    """Return the speed that a command for actuator c comes to in the end."""
+    """Return the final speed of a command for actuator c."""
     x = _scaled(a, value, a.driven[c])
     size, curve = min(abs(x), 1.0), a.curve[c]
     even = curve[3] + size * (curve[4] + size * curve[5])
@@ -226,18 +227,18 @@ def _speed(a, value, c):
 
 @kernel(forceinline=True)
 def _law(a, c, before, goal, push, law):
-    """Write how an actuator goes from a speed to its goal; see :meth:`DriveModel.approach`.
+    """Write an actuator's approach from a speed to its goal; see :meth:`DriveModel.approach`.
 
     Args:
         a: :class:`MotionModel`.
         c: the actuator.
         before, goal: speeds.
         push: as in Underway.
-        law: [_LAW], written: size and sign of the difference, until when (s) the speed is above its
-            goal though it goes the other way, and the lag until then; what is left then, the lag
-            from then on, the rate, how long its limit holds, when and how long the actuator is held
-            by static friction and what is left of the difference then, when the speed has settled,
-            and the goal, its magnitude, and the push.
+        law: [_LAW], written: size and sign of the difference; the time (s) until which the speed in
+            the other direction is above its goal, and the lag until then; the difference at that
+            time, the lag from then on, the rate, the duration of its limit; the time and duration
+            of static friction and the difference then; the settling time; the goal, its magnitude,
+            and the push.
     """
     difference, speed = goal - before, max(abs(goal), STILL)
     size, rate = abs(difference), a.rate[c]
@@ -278,7 +279,7 @@ def _law(a, c, before, goal, push, law):
 
 @kernel(forceinline=True)
 def _follow(law, time):
-    """Return the rest of the difference after a time (s), and its integral until then."""
+    """Return the remaining difference after a time (s), and its integral until then."""
     if law[0] == 0.0 and law[9] == 0.0:
         return 0.0, 0.0
     sign, until = law[1], law[2]
@@ -299,7 +300,7 @@ def _follow(law, time):
 
 @kernel(forceinline=True)
 def _fallen(size, lag, rate, ramp, time):
-    """Return the rest of a difference after a time (s), and its integral until then."""
+    """Return the remainder of a difference after a time (s), and its integral until then."""
     on_ramp = min(time, ramp)
     left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
     if time > ramp:
@@ -311,7 +312,7 @@ def _fallen(size, lag, rate, ramp, time):
 
 @kernel(forceinline=True)
 def _come(law, time, left):
-    """Return speed and push after a time (s), at which so much is left of the difference."""
+    """Return speed and push after a time (s), from the remaining difference."""
     speed, push = law[12] - left, law[14]
     if abs(speed) < STILL:
         speed = 0.0
@@ -322,20 +323,20 @@ def _come(law, time, left):
 
 @kernel(forceinline=True)
 def _inputs(a, state, command, memory, began, x):
-    """Write the inputs [I] of the networks, and what is under way where the command began.
+    """Write the inputs [I] of the networks, and the state at the beginning of the command.
 
     Args:
         a: :class:`MotionModel`.
         state: [S] before the command.
         command: [C or more].
         memory: [3 actuators + 1], written from the third part on: the speeds and pushes reached,
-            the command, and how long it has lasted (s).
-        began: [(2 + slots) actuators + slots], written: the speeds and pushes with which it began,
-            when the commands that waited then act (s), and their goals.
-        x: [I], written but for what is derived.
+            the command, and its duration so far (s).
+        began: [(2 + slots) actuators + slots], written: speeds and pushes at its beginning, times
+            (s) at which the commands pending then act, and their goals.
+        x: [I], written except derived inputs.
 
     Returns:
-        Whether the command before goes on.
+        Whether the previous command continues.
     """
     if not a.drives:
         for i in range(len(a.source)):
@@ -366,13 +367,13 @@ def _inputs(a, state, command, memory, began, x):
 
 @kernel(forceinline=True)
 def _queue(a, commanded, lasted, queue):
-    """Let a command join those that wait, see :meth:`DriveModel.after`.
+    """Add a command to the pending ones, see :meth:`DriveModel.after`.
 
     Args:
         a: :class:`MotionModel`.
         commanded: the command, [C].
-        lasted: for how long it was given, s.
-        queue: [slots + slots * C] when commands act, and their goals, changed.
+        lasted: its duration, s.
+        queue: [slots + slots * C] times at which commands act, and their goals, changed.
     """
     count, slots = len(a.driven), a.slots
     for n in range(slots):
@@ -398,7 +399,7 @@ def _queue(a, commanded, lasted, queue):
 
 @kernel(forceinline=True)
 def swung(a, x):
-    """Write the derived input, where there is one; see :class:`Derived`."""
+    """Write the derived input, if any; see :class:`Derived`."""
     if math.isnan(a.swing):
         return
     place = len(a.source)
@@ -470,8 +471,8 @@ def _twist(a, law, begin, end, distance):
         a: :class:`MotionModel`.
         law: of :func:`_law`, of each actuator.
         begin, end: s.
-        distance: [3, C] of the actuators: until ``begin``, changed to ``end``; scratch; what is
-            left at ``end``, written.
+        distance: [3, C] of the actuators: until ``begin``, changed to ``end``; scratch; remaining
+            differences at ``end``, written.
     """
     count, span = len(a.driven), end - begin
     inverse = 1.0 / max(span, 1e-9)
@@ -504,7 +505,7 @@ def _twist(a, law, begin, end, distance):
 
 @kernel(forceinline=True)
 def _prepare(a, x, log2, nearness):
-    """Write logarithms and kernel units of inputs [I]; return the pattern of their signs."""
+    """Write logarithms and kernel units of inputs [I]; return their sign pattern."""
     pattern = 0
     for i in range(len(x)):
         pattern += (1 << i) * (x[i] < 0.0)
@@ -585,8 +586,8 @@ def _units(exponents, log2, begin, end, out):
     inputs, count = exponents.shape[0], end - begin
     out = out[begin:end]
     if 5 <= inputs <= 7:
-        # Without the detour through memory; both kinds of robots have five inputs, and up to two
-        # derived from them. One that is not there counts as the first to the power of 0.
+        # Without intermediate values in memory; usual robots have five inputs, and up to two
+        # derived ones. A missing input counts as the first to the power of 0.
         l0, l1, l2, l3, l4 = log2[0], log2[1], log2[2], log2[3], log2[4]
         l5, e5 = (
             (log2[5], exponents[5][begin:end]) if inputs > 5 else (0.0, exponents[0][begin:end])
@@ -648,13 +649,13 @@ def _kernel_units(a, x, out):
 
 @kernel(forceinline=True)
 def own_spread(a, x, out):
-    """Write the part of the noise's size on a command that all members share.
+    """Write the part of the noise's size that depends on the command, not on the member.
 
     Args:
         a: :class:`MotionModel` of a simulator with a noise model.
         x: [I] inputs.
-        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2) first, and last the part of
-            ln tau that follows from the inputs.
+        out: [SIZES], written: first s_t^2 (rad^2), s_f^2, s_s^2 (m^2), last the part of ln tau that
+            depends on the inputs.
     """
     duration = 1.0
     if a.duration >= 0:
@@ -686,8 +687,8 @@ def spread(a, scale, mean, out):
         a: :class:`MotionModel` of a simulator with a noise model.
         scale: of :func:`own_spread`, four numbers.
         mean: [3] displacement (m, m, rad) without noise.
-        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the covariance of what happens
-            in the motion (tt, ft, ff, st, sf, ss), and tau.
+        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the covariance of the noise of the
+            motion (tt, ft, ff, st, sf, ss), and tau.
     """
     out[0], out[1], out[2] = scale[0], scale[1], scale[2]
     ahead, left, turn = se2.mid_turn(mean[0], mean[1], mean[2])
@@ -718,7 +719,7 @@ def spread(a, scale, mean, out):
 
 @kernel(forceinline=True)
 def shake(dx, dy, turn, size, t, f, s, w):
-    """Return a displacement with noise of a size that is known.
+    """Return a displacement with noise of a given size.
 
     Args:
         dx, dy, turn: displacement (m, m, rad) without noise.

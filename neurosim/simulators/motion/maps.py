@@ -10,10 +10,10 @@ from neurosim.base.kernels import kernel
 def cells_of(
     x: Tensor, y: Tensor, origin: Tensor, cell: float, shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return column and row of the cells in which places are, and where in them, 0..1.
+    """Return column and row of the cells of points, and the positions in the cells, 0..1.
 
     Args:
-        x, y: of the places, m, board frame.
+        x, y: of the points, m, board frame.
         origin: [2] of the map's first point, m.
         cell: distance between its points, m.
         shape: number of its rows and columns, at least 2.
@@ -27,7 +27,7 @@ def cells_of(
 
 @kernel(forceinline=True)
 def cell_of(x, y, origin, cell, rows, columns):
-    """Return the cell of one place, as :func:`cells_of`."""
+    """Return the cell of one point, as :func:`cells_of`."""
     across, up = (x - origin[0]) / cell, (y - origin[1]) / cell
     across, up = min(max(across, 0.0), columns - 1.0), min(max(up, 0.0), rows - 1.0)
     i, j = min(int(across), columns - 2), min(int(up), rows - 2)

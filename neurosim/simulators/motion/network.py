@@ -1,12 +1,12 @@
 """The motion network: three networks predict how a command displaces the robot.
 
-Pretorius et al. 2009, section 5.3: the networks are given the motors' speeds before and during
-the command and its duration, and predict the displacement in the robot's own frame; displacements
-are composed into a path. Which inputs there are is the dataset's matter: those called ``prev_...``
-are remembered in the state, the others are the command.
+Pretorius et al. 2009, section 5.3: the networks get the motors' speeds before and during the
+command and its duration, and predict the displacement in the robot's own frame; displacements are
+composed into a path. The dataset determines the inputs: those called ``prev_...`` are kept in the
+state, the others are the command.
 
 Beyond the paper, a simulator may be an ensemble of such networks with a learned noise model: the
-members disagree where there was little to learn from, the noise is what no network can foresee.
+members disagree where the data is sparse; the noise is the part that no network can predict.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from neurosim.simulators.motion.sensors import Sensors, no_sensors
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
-#: A command goes on until it has lasted for the longest one's time, give or take this fraction.
+#: A command continues up to the longest duration, within this fraction.
 HELD = 0.05
 
-#: Commands after which what an actuator had not reached is forgotten; more of them if they are
-#: so short that they do not last for this time, s, up to a limit.
+#: Number of commands after which an actuator's remaining difference is dropped; more if they are
+#: shorter in all than this time, s, up to a limit.
 _LINKS, _DIES, _MOST_LINKS = 4, 2.0, 40
 
-#: What the networks' outputs are: the displacement itself; or, beside a drive model, the twist by
-#: which the robot departs from it, in the time of the longest command.
+#: Outputs of the networks: the displacement; or, with a drive model, the twist by which the robot
+#: deviates from it, in the time of the longest command.
 COORDINATES = ("displacement", "residual-twist")
 
 
@@ -80,34 +80,34 @@ def _flat(under: Underway) -> dict[str, Tensor]:
 class MotionNetwork(Simulator):
     """A simulator of a robot in the plane, learned from a dataset.
 
-    A trajectory keeps one member of the ensemble from its start to its end; the column
-    ``member`` of its state says which, -1 standing for the mean of all. A simulator of one member,
+    A trajectory keeps one member of the ensemble from its start to its end; the column ``member``
+    of its state has its number, -1 for the mean of all. A simulator of one member,
     as in the paper, has no such column.
 
     Attributes:
         inputs: names and units of the inputs, [{name, unit}].
-        network: the shape that its networks have.
+        network: the shape of its networks.
         genes: their weights, [M, 3, G], float64, of M members; if ``central``, [1 + M, 3, G], the
-            mean's before them.
-        central: whether the mean of the ensemble is a network of its own, which has learned from
-            all rows; if not, it is the members' average.
+            mean's first.
+        central: whether the mean of the ensemble is a separate network, which has learned from all
+            rows; if not, it is the members' average.
         input_scale: [I]; inputs are divided by it.
-        output_scale: as genes, [M, O]; the networks' outputs times this are in metres and radians.
+        output_scale: [M, O], in the order of genes; the networks' outputs times this are in metres
+            and radians.
         coordinates: one of :data:`COORDINATES`.
         noise: the noise model, or None.
-        dead_band: [I]; scaled inputs that are smaller count as zero: a motor that is to turn too
-            slowly stands.
-        derived: the input of the networks that follows from the others and stands after them.
-        drive: the drive model from which the robot departs; with it a command may be cut into
-            steps of any length. Without, a step is a whole command.
+        dead_band: [I]; smaller scaled inputs count as zero: at a low command a motor stands.
+        derived: the input of the networks that is computed from the others and follows them.
+        drive: the drive model from which the robot deviates; with it a command may be cut into
+            steps of any length. Without it, a step is a whole command.
         kernel_units: units in addition to the networks' own, or None.
-        known: the commands that it has learned from; None: but the largest are not known.
-        correction: of drive model and networks, all members alike, where another floor or robot
-            is to be simulated than was learned from.
-        sensors: what its sensors read where on the board; None: it has none.
-        floor: where on the board how much of the motion is lost; None: it is even.
-        meta: what else simulator.json says: training, test errors, source.
-        longest: the longest command that it has learned from, s; infinite without a duration.
+        known: the commands from which it has learned; None: only the largest are known.
+        correction: of drive model and all networks, to simulate another floor or robot than that of
+            the data.
+        sensors: its sensors, with their maps of the board; None: it has none.
+        floor: map of the lost fraction of motion; None: the floor is even.
+        meta: other parts of simulator.json: training, test errors, source.
+        longest: the longest command in its data, s; infinite without a duration.
     """
 
     kind = "motion-network"
@@ -134,7 +134,7 @@ class MotionNetwork(Simulator):
     ):
         """Make a simulator.
 
-        ``genes`` [O, G] are those of a single member, an ``output_scale`` [O] is that of all.
+        ``genes`` [O, G] belong to a single member, an ``output_scale`` [O] to all members.
         """
         names = tuple(entry["name"] for entry in inputs)
         remembered = tuple(name for name in names if name.startswith("prev_"))
@@ -234,17 +234,17 @@ class MotionNetwork(Simulator):
 
     @property
     def members(self) -> int:  # type: ignore[override]
-        """How many networks of each output there are."""
+        """Number of networks of each output, without the mean's."""
         return len(self.genes) - self.central
 
     @property
     def dtype(self) -> torch.dtype:  # type: ignore[override]
-        """In which it computes: that of its genes."""
+        """Type of its numbers: that of its genes."""
         return self.genes.dtype
 
     @property
     def device(self) -> torch.device:  # type: ignore[override]
-        """Where it computes: where its genes are."""
+        """Device of its computations: that of its genes."""
         return self.genes.device
 
     @property
@@ -254,17 +254,17 @@ class MotionNetwork(Simulator):
 
     @property
     def noise_width(self) -> int:  # type: ignore[override]
-        """How many numbers the noise of a command is made of, those of the sensors' last."""
+        """Number of random numbers for the noise of a command; the sensors' are last."""
         return (DRAWS + len(self.reading_names)) * self.has_noise
 
     @property
     def reading_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the sensors; none where it has none."""
+        """Names of the sensors, if any."""
         return () if self.sensors is None else self.sensors.names
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
-        """The commands that it has learned from: lowest and highest, or as large as the largest."""
+        """Lowest and highest command in its data, or the largest in both directions."""
         if self.known is not None:
             return self.known.ranges
         largest = dict(zip(self.input_names, self.input_scale.tolist(), strict=True))
@@ -275,16 +275,16 @@ class MotionNetwork(Simulator):
 
     @property
     def slack(self) -> float:  # type: ignore[override]
-        """By which fraction of its width a range may be left."""
+        """Fraction of its width by which a range may be exceeded."""
         return super().slack if self.known is None else self.known.slack
 
     @property
     def knows_gaps(self) -> bool:  # type: ignore[override]
-        """Whether it says where within the ranges nothing was recorded."""
+        """Whether it knows gaps within the ranges."""
         return self.known is not None
 
     def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether commands [..., C] are like some that it has learned from, [...]."""
+        """Return whether commands [..., C] are like some in its data, [...]."""
         return super().supported(commands) if self.known is None else self.known.supported(commands)
 
     def start(
@@ -298,7 +298,7 @@ class MotionNetwork(Simulator):
         Args:
             pose: x (m), y (m), heading (rad).
             generator: each trajectory draws its member; without one it follows the mean.
-            member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
+            member: 0..M-1, or -1 for the mean, of all or of each [B]; it is not drawn then.
         """
         pose = pose.to(self.genes)
         rows = len(pose)
@@ -310,11 +310,11 @@ class MotionNetwork(Simulator):
         return state
 
     def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
-        """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
+        """Return the states [B, S] of robots with ensemble members [B], -1 for the mean."""
         return self.start(pose, member=member)
 
     def over(self, state: Tensor) -> Tensor:
-        """Return states [B, S] in which the last command is over: given again, it begins again."""
+        """Return states [B, S] after the last command's end; the same command begins again."""
         if self.drive is None:
             return state
         parts = self._parts(state)
@@ -333,7 +333,7 @@ class MotionNetwork(Simulator):
         return states
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
-        """Return a member for each trajectory, [rows], all alike probable."""
+        """Return a random member for each trajectory, [rows], with equal probabilities."""
         device = generator.device
         return torch.randint(self.members, (rows,), generator=generator, device=device)
 
@@ -346,9 +346,8 @@ class MotionNetwork(Simulator):
     ) -> Tensor:
         """Return the states [B, S] after ``command`` [B, C] was carried out from ``state``.
 
-        With a generator, and where there is a noise model, fresh noise is drawn for every row; or
-        it is made of the numbers ``z`` [B, noise_width]. Without either the answer is the mean of
-        the row's member.
+        With a generator and a noise model, new noise is drawn for every row; or it is computed from
+        the numbers ``z`` [B, noise_width]. Without both the result is the mean of the row's member.
         """
         member = state[:, -1].long() if self.members > 1 else -1
         if generator is not None and self.noise is not None:
@@ -369,8 +368,8 @@ class MotionNetwork(Simulator):
     ) -> Tensor:
         """Return the readings [B, len(reading_names)], 0..1, of robots in ``state`` [B, S].
 
-        With a generator fresh noise is drawn for every row; or it is made of the numbers ``z`` [B,
-        noise_width]. Without either there is none.
+        With a generator new noise is drawn for every row; or it is computed from the numbers ``z``
+        [B, noise_width]. Without both there is none.
         """
         if self.sensors is None:
             return super().sense(state, generator)
@@ -381,11 +380,11 @@ class MotionNetwork(Simulator):
     def _step_within(
         self, state: Tensor, command: Tensor, member: Tensor | int, z: Tensor | None
     ) -> Tensor:
-        """Step where there is a drive model.
+        """Step with a drive model.
 
-        The same command as before goes on: then the robot gets to where it would have got in one
-        step, but for where it is already, and the noise is that with which the command began. So
-        it does not matter into which steps a command is cut.
+        If the command is the same as before, it continues: the robot moves to the pose of a single
+        longer step, from its present one, and the noise is that of the command's beginning. So the
+        result does not depend on how a command is cut into steps.
         """
         drive = self.drive
         assert drive is not None
@@ -422,29 +421,29 @@ class MotionNetwork(Simulator):
         return _State(*state.split([*sizes, int(self.members > 1)], dim=1))
 
     def _underway(self, parts: _State) -> Underway:
-        """Return the actuators' state where the last command began."""
+        """Return the actuators' state at the beginning of the last command."""
         goals = parts.goals.unflatten(1, (parts.acts.shape[1], len(self.columns.driven)))
         return Underway(parts.began_speed, parts.began_push, goals, parts.acts)
 
     def _after(self, drive: DriveModel, parts: _State) -> Underway:
-        """Return the actuators' state where the last command ends; 0 for a robot that stands."""
+        """Return the actuators' state at the end of the last command; 0 for a robot that stands."""
         under, time = self._underway(parts), parts.elapsed.squeeze(1)
         after = drive.after(under, self._speeds(parts.commanded), time, (parts.speed, parts.push))
-        # After a command that was over already nothing is added.
+        # After the end of a command nothing is added.
         over = time <= 0.0
         pairs = zip(after[2:], under[2:], strict=True)
         kept = (torch.where(over.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in pairs)
         return Underway(parts.speed, parts.push, *kept)
 
     def _speeds(self, driven: Tensor) -> Tensor:
-        """Return the speeds [B, C] that driven inputs [B, C], in the dataset's units, come to."""
+        """Return the final speeds [B, C] of driven inputs [B, C], in the dataset's units."""
         assert self.drive is not None
         scaled = driven / self.input_scale[self._driven]
         scaled = torch.where(scaled.abs() < self.dead_band[self._driven], 0.0, scaled)
         return self.drive.shaped(scaled)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
-        """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
+        """Return the mean displacements [B, 3] (m, m, rad) for ``inputs`` [B, I].
 
         They are in the robot's frame at the command's start, REP 103.
 
@@ -460,9 +459,9 @@ class MotionNetwork(Simulator):
         """Return the mean displacements [B, 3] of scaled inputs.
 
         Args:
-            x: of :meth:`scaled` [B, I], or of :meth:`chained`.
+            x: inputs of :meth:`scaled` [B, I], or of :meth:`chained`.
             member: as in :meth:`displacement`.
-            under: what is under way where the commands begin; None: as ``x`` says.
+            under: the actuators' state at the beginning of the commands; None: that of ``x``.
         """
         given = self.derived.append(self.columns, x[:, : len(self.inputs)])
         units = None if self.kernel_units is None else self.kernel_units.units(given)
@@ -477,7 +476,7 @@ class MotionNetwork(Simulator):
     def scaled(self, inputs: Tensor) -> Tensor:
         """Return ``inputs`` [B, I] scaled, those within the dead band zero.
 
-        With a drive model the commands become the speeds that they come to in the end.
+        With a drive model the commands become their final speeds.
         """
         scaled = inputs / self.input_scale
         scaled = torch.where(scaled.abs() < self.dead_band, 0.0, scaled)
@@ -490,7 +489,7 @@ class MotionNetwork(Simulator):
         """Return scaled inputs of commands [B, I], in the dataset's units, in the order of time.
 
         The speed that an actuator has at the end of a command is its speed at the beginning of the
-        next. With a drive model there are columns more, see :func:`chain`.
+        next. With a drive model there are more columns, see :func:`chain`.
         """
         x = self.scaled(inputs)
         if self.drive is None:
@@ -511,12 +510,12 @@ class MotionNetwork(Simulator):
         return outputs
 
     def from_outputs(self, outputs: Tensor, x: Tensor, under: Underway | None = None) -> Tensor:
-        """Return the displacements [B, 3] that networks' outputs [B, O] stand for.
+        """Return the displacements [B, 3] for networks' outputs [B, O].
 
         Args:
             outputs: of the networks.
             x: scaled inputs, as in :meth:`displacement_of`.
-            under: likewise.
+            under: as in :meth:`displacement_of`.
         """
         if self.drive is None:
             return outputs
@@ -530,7 +529,7 @@ class MotionNetwork(Simulator):
         return se2.compose(changing, se2.exp(twist + duration.unsqueeze(1) * outputs))
 
     def disturbed(self, x: Tensor, mean: Tensor, z: Tensor) -> Tensor:
-        """Return displacements [B, 3] with noise of the draws ``z`` [B, DRAWS].
+        """Return displacements [B, 3] with noise from the draws ``z`` [B, DRAWS].
 
         Args:
             x: scaled inputs, [B, I].
@@ -542,10 +541,10 @@ class MotionNetwork(Simulator):
         return disturb(self.noise, self.columns, x, mean, z)
 
     def on_floor(self, pose: Tensor, moved: Tensor, member: Tensor | int = -1) -> Tensor:
-        """Return displacements [B, 3] on the floor of those on an even one; see :class:`Floor`.
+        """Return displacements [B, 3] on the floor for those on an even one; see :class:`Floor`.
 
         Args:
-            pose: where they begin, [B, 3] m, m, rad, board frame.
+            pose: their beginnings, [B, 3] m, m, rad, board frame.
             moved: displacements [B, 3] in the robots' frames there.
             member: as in :meth:`displacement`.
         """
@@ -556,7 +555,7 @@ class MotionNetwork(Simulator):
         """Return the five numbers of its correction.
 
         Raises:
-            UserError: if there is no drive model, which is what is corrected.
+            UserError: if there is no drive model to correct.
         """
         if self.drive is None:
             raise UserError(
@@ -568,7 +567,7 @@ class MotionNetwork(Simulator):
         """Return the simulator with another correction [5], instead of the one that it has.
 
         Raises:
-            UserError: if there are not as many, one is out of bounds, or there is no drive model.
+            UserError: if their number is wrong, one is out of bounds, or there is no drive model.
         """
         parameters = self.parameters
         if np.shape(values) != (len(parameters),):
@@ -596,7 +595,7 @@ class MotionNetwork(Simulator):
         )
 
     def conditions(self) -> dict[str, Any]:
-        """Return its correction, where there is one."""
+        """Return its correction, if any."""
         none = self.correction == Correction()
         return {} if none else {"correction": asdict(self.correction)}
 
@@ -604,7 +603,7 @@ class MotionNetwork(Simulator):
         """Return this simulator computing in ``dtype``.
 
         Raises:
-            UserError: if it has sensors: what is exported is a step alone.
+            UserError: if it has sensors, because only a step can be exported.
         """
         if self.sensors is not None:
             raise UserError(
@@ -666,7 +665,7 @@ class MotionNetwork(Simulator):
         )
 
     def _laid_out(self) -> dict[str, Any]:
-        """Return the networks as :class:`MotionModel` has them: the mean, then the members."""
+        """Return the networks' arrays for :class:`MotionModel`: the mean, then the members."""
         parts = self.network.expand(self.genes.cpu()).times(self.output_scale.cpu())
         units = self.kernel_units or KernelUnits(
             torch.zeros(0, self.network.inputs),
@@ -715,22 +714,22 @@ class MotionNetwork(Simulator):
 
 
 def _filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return numbers [..., N], zeros behind them up to a multiple of :data:`LANES`."""
+    """Return numbers [..., N], filled with zeros up to a multiple of :data:`LANES`."""
     missing = -values.shape[-1] % LANES
     return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)])
 
 
 def can_drive(names: Sequence[str], actuators: int | None = None) -> bool:
-    """Return whether a drive model can be made of inputs of these names."""
+    """Return whether a drive model is possible with inputs of these names."""
     columns = CommandFeatures.of(tuple(names))
     known = columns.duration >= 0 and len(columns.driven) > 0 and min(columns.before) >= 0
     return known and actuators in (None, len(columns.driven))
 
 
 def follows(names: Sequence[str], inputs: Tensor) -> Tensor:
-    """Return whether each row's command followed that of the row before it, [B] bool.
+    """Return whether each row's command followed that of the previous row, [B] bool.
 
-    It did where the command before is that one.
+    It did if its previous command is that one.
 
     Args:
         names: of the inputs.
@@ -748,22 +747,23 @@ def follows(names: Sequence[str], inputs: Tensor) -> Tensor:
 def chain(
     drive: DriveModel, columns: CommandFeatures, x: Tensor, follows: Tensor, longest: float
 ) -> Tensor:
-    """Return scaled inputs [B, I + C] in which commands begin with the speeds really reached.
+    """Return scaled inputs [B, I + C] in which commands begin with the reached speeds.
 
-    The last C columns are the goals of the commands before, which act until the delay has passed.
-    A command before that one is taken to act no more: it would be shorter than the delay.
+    The last C columns are the goals of the previous commands, which act until the delay has passed.
+    Still earlier commands are assumed to have ended, because otherwise one would be shorter than
+    the delay.
 
     Args:
         drive: the drive model.
         columns: of the inputs.
-        x: scaled inputs, [B, I], speeds before a command as if they had been reached.
-        follows: [B] bool, whether a row's command followed that of the row before it.
-        longest: what durations are scaled by, s.
+        x: scaled inputs, [B, I], with commanded speeds as previous ones.
+        follows: [B] bool, whether a row's command followed that of the previous row.
+        longest: scale of durations, s.
     """
     before, commanded = x[:, list(columns.before)], x[:, list(columns.driven)]
     time = x[:, columns.duration] * longest
     speed = before
-    # What is left of a difference dies away within a few commands, or seconds.
+    # A remaining difference decays within a few commands, or seconds.
     links = (
         max(_LINKS, min(math.ceil(_DIES / max(float(time.median()), 1e-3)), _MOST_LINKS))
         if len(x)
@@ -779,14 +779,14 @@ def chain(
 
 
 def rows_underway(drive: DriveModel, columns: CommandFeatures, x: Tensor) -> Underway:
-    """Return the actuators' state where rows of scaled inputs [B, I] or of :func:`chain` begin."""
+    """Return the actuators' state at the beginning of scaled rows [B, I] or of :func:`chain`."""
     speed, count = x[:, list(columns.before)], len(columns.driven)
     inputs = max(*columns.driven, *columns.before, columns.duration) + 1
     return drive.begun(speed, x[:, inputs:] if x.shape[1] == inputs + count else None)
 
 
 def _in(dtype: torch.dtype, thing: Any) -> Any:
-    """Return a copy of one of our objects, all its numbers in another precision."""
+    """Return a copy of an object with all its numbers in another precision."""
     if isinstance(thing, Tensor):
         return thing.to(dtype) if thing.is_floating_point() else thing
     if not type(thing).__module__.startswith("neurosim.") or not hasattr(thing, "__dict__"):
@@ -803,6 +803,6 @@ def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
         return outputs.mean(1) if member < 0 else outputs[:, member + central]
     place = (member + central).clamp(min=0)[:, None, None]
     own = outputs.gather(1, place.expand(-1, 1, outputs.shape[2])).squeeze(1)
-    if central:  # the mean's own network is the one before the first
+    if central:  # the mean's own network precedes the first
         return own
     return torch.where(member.unsqueeze(-1) < 0, outputs.mean(1), own)

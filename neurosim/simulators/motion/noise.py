@@ -1,32 +1,30 @@
 r"""Noise of a motion network: noise on displacements, correlated and of varying size.
 
-The noise stands in the mid-turn frame (see :mod:`neurosim.base.se2`). With the mean displacement
+The noise is in the mid-turn frame (see :mod:`neurosim.base.se2`). With the mean displacement
 :math:`(\bar p, \bar\theta)` and noise of turn, forward and sideways :math:`(e_t, e_f, e_s)`,
 
 .. math:: \theta = \bar\theta + e_t, \qquad
           p = R(e_t / 2)\, \bar p + R(\theta / 2)\, (e_f, e_s)
 
-so that a turn that came out larger carries the robot round with it. The three are a linear map of
+so that a larger turn also rotates the displacement. The three are a linear map of
 standard normal draws z, the Cholesky factor of their covariance C, which is a sum:
 
 .. math:: C = \mathrm{diag}(s^2) e^{2 \tau g} + J \Big(\sum_k U_k m m^T U_k^T\Big) J^T
 
-What happens in the course of the motion, as slip of a wheel does, changes the twist
-:math:`m = (\theta, l_f, l_s)`, the turn and the lengths of the arc, in proportion to it:
-every source k by its matrix :math:`U_k`. J is what becomes of it in the chord
-:math:`c = \mathrm{sinc}(\theta / 2)\, l`, which a turn makes shorter:
+Noise during the motion, such as slip of a wheel, changes the twist :math:`m = (\theta, l_f, l_s)`,
+the turn and the lengths of the arc, in proportion to it: every source k by its matrix :math:`U_k`.
+J converts this to the chord :math:`c = \mathrm{sinc}(\theta / 2)\, l`, which a turn makes shorter:
 
 .. math:: J = \begin{pmatrix} 1 & 0 \\ l\, \mathrm{sinc}' & I\, \mathrm{sinc} \end{pmatrix}
 
-Noise on the chord itself would be too large on curves or too small on straight runs, of which
-plans are made: a wheel that slips on a curve lengthens the arc and bends it, and the one takes
-back in the chord what the other adds.
+Noise on the chord itself would be too large on curves or too small on straight runs, which plans
+consist of: a wheel that slips on a curve changes the length and the bend of the arc, and these
+effects compensate each other in the chord.
 
 The rest has heavy tails, as if its scale itself were uncertain (Clark 1973, Econometrica
 41): g is standard normal, the same for all three, and ln s and :math:`\ln \tau` are linear in
-features of the command (how sudden, how long, how fast the motors ran before it: where they stood,
-the motion before that, which no input tells, has left the caster in some direction; tau also how
-far and how much of a turn).
+features of the command: its suddenness, its duration, and the speed of the motors before it (after
+a stop the caster's direction is unknown); tau also depends on distance and turn.
 """
 
 from __future__ import annotations
@@ -44,23 +42,23 @@ from neurosim.base.se2 import tensors as se2
 #: The three components of the noise, in the order of every array here.
 COMPONENTS = ("turn", "forward", "sideways")
 
-#: Draws of a command: one a component, and g, on which the width of all three depends.
+#: Number of draws of a command: one for each component, and g, which scales all three.
 DRAWS = 4
 
-#: The least variance, m^2 or rad^2.
+#: Smallest variance, m^2 or rad^2.
 TINY = 1e-30
 
 #: The heaviest tails, as :math:`\tau`.
 HEAVIEST = 1.5
 
-#: What ln s is linear in, and what ln tau; see :func:`features`.
+#: Features of ln s and of ln tau, which are linear in them; see :func:`features`.
 SCALE_FEATURES = ("one", "jump", "reversal", "time", "before")
 TAIL_FEATURES = ("one", "travel", "turn")
 
-#: How many sources of what happens in the course of the motion there are.
+#: Number of sources of noise during the motion.
 SOURCES = 3
 
-#: A chord is taken for this fraction of its arc at least, where the arc is nearly a full circle.
+#: Smallest chord as a fraction of its arc, for arcs of nearly a full circle.
 LEAST_CHORD = 0.1
 
 
@@ -69,11 +67,11 @@ class NoiseModel:
     """A learned noise model; all tensors are float64 and on the CPU.
 
     Attributes:
-        unit: [3] root mean square of the mean turn (rad), forward and sideways chord (m): what
-            the features measure turns and distances in.
+        unit: [3] root mean square of the mean turn (rad), forward and sideways chord (m), the units
+            of turns and distances in the features.
         log_scale: [3, len(SCALE_FEATURES)] of ln s_t (rad), ln s_f and ln s_s (m).
         tail: [len(TAIL_FEATURES)] of ln tau.
-        sources: [SOURCES, 3, 3] the matrices U; of turn (rad) and lengths (m) by twists in units.
+        sources: [SOURCES, 3, 3] the matrices U, from twists in units to turn (rad) and lengths (m).
     """
 
     unit: Tensor
@@ -102,7 +100,7 @@ class NoiseModel:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def times(self, factor: float) -> NoiseModel:
-        """Return noise that is larger by a factor."""
+        """Return a noise model that is larger by a factor."""
         scale = self.log_scale.clone()
         scale[:, 0] += math.log(factor)
         return replace(self, log_scale=scale, sources=factor * self.sources)
@@ -121,12 +119,12 @@ def draw(rows: int, steps: int, generator: torch.Generator, width: int = DRAWS) 
 
 @dataclass(frozen=True)
 class CommandFeatures:
-    """How a noise model reads a network's inputs; follows from their names.
+    """The indices of a network's inputs that a noise model uses; they follow from the names.
 
     Attributes:
-        driven: places of the command's inputs but its duration.
-        before: place of the same input before the command, -1 where it is not an input.
-        duration: place of the duration, -1 where it is not an input.
+        driven: indices of the command's inputs, without its duration.
+        before: index of the same input before the command, -1 if it does not exist.
+        duration: index of the duration, -1 if it does not exist.
     """
 
     driven: tuple[int, ...]
@@ -135,7 +133,7 @@ class CommandFeatures:
 
     @classmethod
     def of(cls, names: tuple[str, ...]) -> CommandFeatures:
-        """Return them for inputs of these names."""
+        """Return the features' indices for inputs of these names."""
         driven = [n for n in names if not n.startswith("prev_") and n != "duration"]
         before = [names.index("prev_" + n) if "prev_" + n in names else -1 for n in driven]
         duration = names.index("duration") if "duration" in names else -1
@@ -145,7 +143,7 @@ class CommandFeatures:
 def features(
     unit: Tensor, columns: CommandFeatures, inputs: Tensor, mean: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the inputs of the noise's size and tails, except the motion itself.
+    """Return the features of the noise's size and tails, without those of the motion itself.
 
     Args:
         unit: of the noise model, [3].
@@ -207,7 +205,7 @@ def disturb(
 
 
 def in_motion(unit: Tensor, sources: Tensor, mean: Tensor) -> Tensor:
-    """Return the covariance [B, 3, 3] of what happens in the motion.
+    """Return the covariance [B, 3, 3] of noise during the motion.
 
     Args:
         unit: of the noise model, [3].
@@ -231,7 +229,7 @@ def in_motion(unit: Tensor, sources: Tensor, mean: Tensor) -> Tensor:
 
 
 def shortened(turn: Tensor) -> Tensor:
-    """Return by how much the chord of an arc of length 1 grows with its turn, per rad."""
+    """Return the derivative of a chord, for an arc of length 1, by its turn, per rad."""
     small = turn.abs() < 1e-3
     safe = torch.where(small, 1.0, turn)
     return torch.where(small, -turn / 12.0, ((safe / 2.0).cos() - se2.chord(safe)) / safe)
@@ -240,11 +238,11 @@ def shortened(turn: Tensor) -> Tensor:
 def cholesky(covariance: Tensor, variances: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], ...]:
     """Return the rows of the lower factor of sums of covariances, each number [...].
 
-    Like the compiled one it takes for 0 what rounding makes of a variance below that.
+    Like the compiled one, it replaces variances that are negative by rounding by 0.
 
     Args:
         covariance: [..., 3, 3].
-        variances: what is added to its diagonal, three of [...].
+        variances: added to its diagonal, three of [...].
     """
     c = covariance
     a = (c[..., 0, 0] + variances[0]).clamp(min=TINY).sqrt()
@@ -256,7 +254,7 @@ def cholesky(covariance: Tensor, variances: Sequence[Tensor]) -> tuple[tuple[Ten
 
 
 def heaviness(features: Tensor, tail: Tensor) -> Tensor:
-    """Return tau [B] of the tails, of features [B, len(TAIL_FEATURES)]."""
+    """Return tau [B] of the tails from features [B, len(TAIL_FEATURES)]."""
     return (features @ tail).exp().clamp(max=HEAVIEST)
 
 
@@ -266,7 +264,7 @@ def components(displacement: Tensor) -> Tensor:
 
 
 def residual(mean: Tensor, actual: Tensor) -> Tensor:
-    """Return the noise (turn, forward, sideways) [B, 3] that makes ``actual`` of ``mean``.
+    """Return the noise (turn, forward, sideways) [B, 3] that changes ``mean`` into ``actual``.
 
     Args:
         mean, actual: displacements, [B, 3].

@@ -1,8 +1,8 @@
-"""Sensors of a motion network: what they read follows from where on the board they are.
+"""Sensors of a motion network, whose readings depend on their position on the board.
 
-Each sensor is mounted somewhere on the robot, and reads what a map of the board has there, linear
-between the points of a grid. Sensors of the same make fraction a map. Noise has two parts, whose
-variances add up: of the reading itself, and of the place, by the map's slope there.
+Each sensor has a position on the robot, and reads a map of the board there, linear between the
+points of a grid. Sensors of the same type share a map. Noise has two parts, whose variances add up:
+of the reading itself, and of the position, by the map's slope there.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ class Sensors:
     """Learned sensors; all tensors are float64 and on the CPU.
 
     Attributes:
-        names: of the sensors, as readings are named.
-        mount: [S, 2] where on the robot they look: ahead of the axle's middle and to the left, m.
-        place: [S] int64, which of the maps each reads.
-        noise: [S, 2] standard deviations: of its reading (0..1), and of its place (m).
+        names: names of the sensors and of their readings.
+        mount: [S, 2] positions on the robot: ahead of the axle's middle and to the left, m.
+        place: [S] int64, index of each sensor's map.
+        noise: [S, 2] standard deviations: of its reading (0..1), and of its position (m).
         maps: [K, NY, NX] readings, 0..1, over the board: rows along y, columns along x.
         origin: [2] x and y of the maps' first point, m, board frame.
         cell: distance between their points, m.
@@ -65,7 +65,7 @@ class Sensors:
 
         Args:
             pose: x (m), y (m), heading (rad).
-            z: [B, S] standard normal draws of the noise; None: there is none.
+            z: [B, S] standard normal draws of the noise; None: without noise.
         """
         cos, sin = pose[:, 2:].cos(), pose[:, 2:].sin()
         ahead, aside = self.mount.to(pose).unbind(1)
@@ -86,7 +86,7 @@ class Sensors:
         return value.clamp(0.0, 1.0)
 
     def arrays(self) -> dict[str, Any]:
-        """Return the sensors as :class:`MotionModel` has them."""
+        """Return the sensors' arrays for :class:`MotionModel`."""
         tensors = {f"sensor_{name}": getattr(self, name).numpy() for name in TENSORS}
         arrays = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
         return {**arrays, "sensor_cell": float(self.cell)}
@@ -97,7 +97,7 @@ TENSORS = ("mount", "place", "noise", "maps", "origin")
 
 
 def no_sensors() -> dict[str, Any]:
-    """Return the arrays of a simulator that has none."""
+    """Return the arrays of a simulator without sensors."""
     return {
         "sensor_mount": np.empty((0, 2)),
         "sensor_place": np.empty(0, np.int64),
@@ -115,7 +115,7 @@ def read(a, x, y, theta, z, first, out):
     Args:
         a: :class:`MotionModel`.
         x, y, theta: pose of the robot (m, m, rad).
-        z: standard normal numbers, that of the first sensor at ``first``; empty: no noise.
+        z: standard normal numbers, the first sensor's at ``first``; empty: no noise.
         first: see ``z``.
         out: [S], written.
     """
