@@ -89,8 +89,8 @@ def main() -> None:
     options = parser.parse_args()
     generations = 100 if options.quick else 1000
     if options.settings:
-        found = {str(slots): finders(options, slots, generations) for slots in (10, COMMANDS)}
-        print(json.dumps({"runs": RUNS, "found": found}) if options.json else found)
+        completing = {str(slots): finders(options, slots, generations) for slots in (10, COMMANDS)}
+        print(json.dumps({"runs": RUNS, "completing": completing}) if options.json else completing)
         return
     simulators = {"paper's size": papers_size()}
     if options.simulator is not None:
@@ -123,7 +123,7 @@ def finders(options: argparse.Namespace, slots: int, generations: int) -> dict[s
         simulator = options.simulator or Path(folder) / "simulator"
         if options.simulator is None:
             train(options.dataset, simulator)
-        found = {}
+        completing = {}
         usual = default_settings(family, task, runs=RUNS, generations=generations)
         tournament = replace(usual.genetic, tournament=50)
         for name, settings in {
@@ -134,8 +134,8 @@ def finders(options: argparse.Namespace, slots: int, generations: int) -> dict[s
             evolved = evolve(
                 read_simulator(simulator), task, family, settings=settings, seed=904, progress=False
             )
-            found[name] = sum(one.predicted["completes"] for one in evolved)
-    return found
+            completing[name] = sum(one.predicted["completes"] for one in evolved)
+    return completing
 
 
 def papers_size() -> MotionNetwork:
