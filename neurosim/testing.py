@@ -1,4 +1,4 @@
-"""Checks for what other packages add: each says in one sentence what is not as it must be.
+"""Checks for the additions of other packages: each reports the first fault in one sentence.
 
 Call one in a test of yours; it raises AssertionError::
 
@@ -58,14 +58,14 @@ __all__ = [
     "check_trainer",
 ]
 
-#: Rows of the batches that are tried.
+#: Number of rows of the tried batches.
 _ROWS = 5
 
 
 def check_robot(make: Callable[[], Robot]) -> None:
-    """Check a driver against what its robot says that it can do.
+    """Check that a driver has the abilities that its robot reports.
 
-    The robot drives slowly for half a second, and its lamp goes on and off: let it stand free.
+    The robot drives slowly for half a second, and its lamp goes on and off: give it free space.
 
     Args:
         make: returns the robot, not connected; it is called twice.
@@ -81,7 +81,7 @@ def check_robot(make: Callable[[], Robot]) -> None:
     _json("describe()", about)
     kind = about.get("kind")
     _require(isinstance(kind, str) and kind, "describe() must say the robot's kind, a name")
-    robot.close()  # one that was never connected, too
+    robot.close()  # also one that was never connected
     robot = make()
     with robot as entered:
         _require(entered is robot, "entering the robot as a context must return the robot")
@@ -126,7 +126,7 @@ def check_robot(make: Callable[[], Robot]) -> None:
 
 
 def _beyond(command: list[float], takes: Commands) -> list[list[float]]:
-    """Return a command with each number in turn beyond its limits, or none at all."""
+    """Return commands with each number in turn beyond its limits, and one without numbers."""
     commands = []
     for place, one in enumerate(takes.numbers):
         for value in (one.high + 0.01 * abs(one.high), 2.0 * one.low - one.high, math.nan):
@@ -189,10 +189,10 @@ def check_simulator(
     """Check a simulator: shapes, no hidden state, independent rows, noise, compiled rollouts.
 
     Args:
-        simulator: any.
-        steps: for which compiled rollouts are compared with stepped ones.
-        tolerance: by how much these may differ, m and rad.
-        falls: whether its robot can fall, and then has no pose: NaN.
+        simulator: any simulator.
+        steps: number of steps for comparing compiled rollouts with stepped ones.
+        tolerance: largest difference of these, m and rad.
+        falls: whether its robot can fall, and then has the pose NaN.
 
     Raises:
         AssertionError: saying what is wrong.
@@ -262,7 +262,7 @@ def _commands(simulator: Simulator, rng: np.random.Generator) -> Tensor:
 
 
 def _check_function(name: str, function: Callable[..., Tensor], *inputs: Tensor) -> None:
-    """Check that a function of batches keeps nothing, changes nothing, and mixes no rows."""
+    """Check that a function of batches has no memory, changes no argument, and mixes no rows."""
     kept = [one.clone() for one in inputs]
     first = function(*inputs)
     for before, after in zip(kept, inputs, strict=True):
@@ -404,7 +404,7 @@ def _check_seeing(controller: Controller, genes: Tensor) -> None:
         _ROWS, len(controller.inputs), generator=torch.Generator().manual_seed(2),
         dtype=torch.float64,
     )  # fmt: skip
-    for _ in range(2):  # from the first memory, and from one that has seen something
+    for _ in range(2):  # from the first memory, and from a later one
         command, after = controller.act(genes, seen, memory)
         _shape("the commands of act()", command, (_ROWS, len(controller.outputs)))
         _shape("the memory of act()", after, (_ROWS, controller.memory))
@@ -417,7 +417,7 @@ def _check_seeing(controller: Controller, genes: Tensor) -> None:
 
 
 def check_task(task: Task) -> None:
-    """Check a task: shapes over leading axes, NaN, what is missing, its description.
+    """Check a task: shapes over leading axes, NaN, missing parts, its description.
 
     Raises:
         AssertionError: saying what is wrong.
@@ -504,7 +504,7 @@ def check_optimiser(make: Callable[[SearchSpace], Any]) -> None:
     """Check an optimiser: populations, seeds, that it climbs, and resuming.
 
     Args:
-        make: as it is registered: space -> optimiser.
+        make: the registered function: space -> optimiser.
 
     Raises:
         AssertionError: saying what is wrong.
@@ -552,11 +552,11 @@ def check_reality(reality: Any, genes: Any) -> None:
     """Check a reality: its description, and two trials of an individual.
 
     Args:
-        reality: any, see :class:`neurosim.loop.journal.Reality`.
+        reality: any reality, see :class:`neurosim.loop.journal.Reality`.
         genes: [G] of an individual that it can try.
 
     Raises:
-        AssertionError: saying what is not as it must be.
+        AssertionError: saying what is wrong.
     """
     row = np.asarray(genes, np.float64)
     assert isinstance(reality, Reality), "a reality has trial(genes, number)"
@@ -591,8 +591,8 @@ def check_trainer(trainer: type[Trainer], *, generations: int = 2) -> None:
     """Check a trainer: errors, the simulator it makes, and seeds.
 
     Args:
-        trainer: the class, as it is registered.
-        generations: that it works.
+        trainer: the registered class.
+        generations: number of generations to run.
 
     Raises:
         AssertionError: saying what is wrong.

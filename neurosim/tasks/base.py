@@ -1,9 +1,9 @@
-"""The protocol of tasks: where a trial starts, how long it is, and how it is scored.
+"""The protocol of tasks: start, duration and score of a trial.
 
 A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a record of each
-trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what the trial is
-worth if it ends there. Environments advance records while trials run; :meth:`Task.judge` advances
-them over whole trajectories. Where the place has a perimeter, :meth:`Task.new_record`,
+trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` gives the fitness if the
+trial ends there. Environments advance records while trials run; :meth:`Task.judge` advances
+them over whole trajectories. If the place has a perimeter, :meth:`Task.new_record`,
 :meth:`Task.add` and :meth:`Task.score` also end a trial where the guard of a real drive ends it.
 """
 
@@ -34,14 +34,14 @@ class Interval(NamedTuple):
     """The time from one command to the next, or between two camera frames, of K trials.
 
     Attributes:
-        poses: [K, 3] at its end (m, m, rad); NaN where the robot was not seen.
+        poses: [K, 3] at its end (m, m, rad); NaN if the robot was not seen.
         duration: [K] or one for all, s.
-        active: [K] or one for all: whether it belongs to a command of the controller, not to a
-            null command or to the motors running down.
+        active: [K] or one for all: whether it belongs to a command of the controller, not to a null
+            command or to the stop at the end.
         ends: whether it is the last interval of its command.
         commands: [K, C] during it; None unless the task scores by commands.
         readings: [K, S] at its beginning; None unless the task scores by readings.
-        touching: [K] whether the robot touches something at its end; None where that is unknown.
+        touching: [K] whether the robot touches something at its end; None: unknown.
     """
 
     poses: NDArray[np.float64]
@@ -60,10 +60,10 @@ class Judgement:
     Attributes:
         fitness: [...] float64, finite; the higher the better.
         success: [...] bool, whether the task is done.
-        reason: [...] index of the failure in the task's ``reasons``; -1 where the task is done.
-        progress: [...] how far the robot came: a fitness without steps, for optimisers that need
-            a slope and for rewards.
-        over: [...] bool, whether the robot can gain nothing any more.
+        reason: [...] index of the failure in the task's ``reasons``; -1 if the task is done.
+        progress: [...] the robot's progress: a fitness without steps, for optimisers that need a
+            slope and for rewards.
+        over: [...] bool, whether the result is decided.
         segment: [...] the command during which the result was settled; the last by default.
         detail: name -> [...]: the components of the fitness, different in each task.
 
@@ -91,9 +91,9 @@ class Judgement:
         progress: NDArray | None = None,
         **detail: NDArray,
     ) -> Judgement:
-        """Return a judgement of arrays [...]; progress is the fitness where it is not given.
+        """Return a judgement of arrays [...]; the default progress is the fitness.
 
-        ``reason`` counts only where the task is not done. Arrays are copied, so columns of a
+        ``reason`` counts only if the task is not done. Arrays are copied, so columns of a
         record may be given: records change while trials run.
         """
         fitness, success = np.array(fitness, np.float64), np.array(success, np.bool_)
@@ -111,31 +111,31 @@ class Judgement:
 
 
 class Task(Checked):
-    """Something to be achieved, scored step by step; subclass it.
+    """A task, scored step by step; subclass it.
 
     A task of your own is a frozen dataclass with a ``name``, its settings as fields
     with their ranges (:mod:`neurosim.base.declared`), and :meth:`worth`;
-    also :meth:`first_record` and :meth:`advance` where the score needs more than the end of a
-    trial. Trials may be simulated or driven.
+    also :meth:`first_record` and :meth:`advance` if the score needs more than the end of a trial.
+    Trials may be simulated or driven.
 
     Attributes:
-        name: what ``--task`` takes.
+        name: the name for ``--task``.
         reasons: the ways in which a trial can fail, in words that follow "the robot".
-        start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
-        trial_starts: a trial is made from so many starts.
-        highest_fitness: no trial is worth more; None: nothing is known of that.
-        stop_penalty: taken off the fitness of a trial that the guard ends.
-        perimeter: where the guard ends trials; None: nowhere. See :meth:`within_perimeter`.
-        place: the place of the trials; None: as the simulator has it. A task that
-            has it as a field takes a :class:`neurosim.base.place.Place`, and anything that
-            :meth:`neurosim.base.place.Place.of` takes.
-        senses: of sensors in several senses those that are read, "proximity" or "light"; None: as
-            the simulator has them.
-        longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
-        fitness_unit: of the fitness, if it has one.
-        replanned: whether a plan is to be replanned after every command by default, because no
-        open-loop one does the task.
-        scored_by: which parts of a trajectory the score needs: ``poses``, ``commands``,
+        start: x (m), y (m), heading (rad) of a trial's start, in the board's frame.
+        trial_starts: number of starts of a trial.
+        highest_fitness: the highest possible fitness; None: unknown.
+        stop_penalty: subtracted from the fitness of a trial that the guard ends.
+        perimeter: limits at which the guard ends trials, or None. See :meth:`within_perimeter`.
+        place: the place of the trials; None: the simulator's. As a field of a task it may be a
+            :class:`neurosim.base.place.Place`, or any argument of
+            :meth:`neurosim.base.place.Place.of`.
+        senses: the senses that are read, "proximity" or "light"; None: the simulator's.
+        longest_arc: a distance longer than any robot drives in one command, m, for pictures of
+            plans.
+        fitness_unit: unit of the fitness, if any.
+        replanned: whether a plan is replanned after every command by default, because open-loop
+            plans fail.
+        scored_by: parts of a trajectory that the score needs: ``poses``, ``commands``,
             ``readings``.
 
     Example:
@@ -176,20 +176,20 @@ class Task(Checked):
 
     @property
     def episode(self) -> Episode:
-        """How a trial runs; by default 30 s of steps of 0.1 s, then the motors run down."""
+        """The episode of a trial; by default 30 s of steps of 0.1 s, then a stop."""
         return Episode(rest=0.5)
 
     @property
     def usual_controller(self) -> str:
-        """The kind of controller, unless another is named: a network where readings are needed."""
+        """The default kind of controller: a network if readings are needed."""
         return "network" if self.episode.readings else "plan"
 
     def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the records [K, W] of trials that begin at poses [K, 3] (m, m, rad).
 
-        Column 0 is 1 where the robot can gain nothing any more, else 0; the others are the task's
-        own. By default these are 8 columns, enough for a task that is scored by where the robot
-        ends: 0; the start pose (3); the last pose that was seen (3); the time since the start (s).
+        Column 0 is 1 if the result is decided, else 0; the others are the task's own. By default
+        these are 8 columns, enough for a task that is scored by the robot's last pose: 0; the start
+        pose (3); the last pose that was seen (3); the time since the start (s).
         """
         zero = np.zeros((len(poses), 1))
         return np.concatenate([zero, poses, poses, zero], axis=1)
@@ -208,7 +208,7 @@ class Task(Checked):
         raise unwritten(self, "worth")
 
     def placed(self, simulator: Simulator) -> Simulator:
-        """Return a simulator in the task's place and with its senses, where there are such."""
+        """Return a simulator in the task's place and with its senses, if it has any."""
         changes: dict[str, Any] = {}
         if self.place is not None and isinstance(simulator, InPlace):
             changes["place"] = self.place
@@ -217,15 +217,15 @@ class Task(Checked):
         return simulator.changed(**changes) if changes else simulator  # type: ignore[attr-defined]
 
     def in_place(self, place: Place) -> Self:
-        """Return the task in a place; itself, if it takes none."""
+        """Return the task in a place; the task itself if it has no place."""
         if not is_dataclass(self) or "place" not in self.__dataclass_fields__:
             return self
         return replace(self, place=place)
 
     def within_perimeter(self, perimeter: Perimeter | None) -> Self:
-        """Return the task where a guard ends drives at a perimeter, or where none does.
+        """Return the task with a guard that ends drives at a perimeter, or without one.
 
-        The board is that of the task's place, where that has one.
+        The board is that of the task's place, if any.
         """
         if perimeter is not None and self.place is not None and self.place.board is not None:
             perimeter = replace(perimeter, board=self.place.board)
@@ -240,8 +240,8 @@ class Task(Checked):
     def new_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return records of trials that begin at poses [K, 3], for :meth:`add` and :meth:`score`.
 
-        They are [K, W] as of :meth:`first_record`; with a perimeter four columns follow: the last
-        known pose (m, m, rad), and what ended the trial, a code of
+        They are [K, W] from :meth:`first_record`; with a perimeter four columns follow: the last
+        known pose (m, m, rad), and the reason of the trial's end, a code of
         :data:`neurosim.base.perimeter.ENDS` or 0.
         """
         own = self.first_record(poses)
@@ -257,17 +257,17 @@ class Task(Checked):
             record[:, :-_GUARD], record[:, -_GUARD:] = own, guard
 
     def score(self, record: NDArray[np.float64]) -> Judgement:
-        """Return :meth:`worth` of records of :meth:`new_record`, and which trials are ``over``.
+        """Return :meth:`worth` of records of :meth:`new_record`, with ``over``.
 
-        Those are over whose column 0 is above 0, and those that the guard ended.
+        Trials with column 0 above 0, and those that the guard ended, are over.
         """
         return self._score_guarded(*self._parts(record))
 
     def ended(self, judged: Judgement, code: NDArray[np.int64] | int) -> Judgement:
-        """Return the judgement of trials that the guard ended where ``code`` is above 0: failures.
+        """Return the judgement of trials that the guard ended, if ``code`` is above 0, as failures.
 
         Args:
-            judged: as far as the robot came, [...].
+            judged: judgement of the robot's progress, [...].
             code: [...] or one for all, of :data:`neurosim.base.perimeter.ENDS`.
         """
         stopped = np.broadcast_to(np.asarray(code) > 0, judged.success.shape)
@@ -291,9 +291,9 @@ class Task(Checked):
     def _add_guarded(
         self, own: NDArray, guard: NDArray | None, interval: Interval, over: NDArray[np.bool_]
     ) -> None:
-        """Add an interval, up to where the guard ends it; nothing is added after that.
+        """Add an interval, up to the guard's stop; nothing is added after that.
 
-        ``over`` [K] says which trials are over by then.
+        ``over`` [K] tells whether each trial is over by then.
         """
         if guard is None:
             self.advance(own, interval)
@@ -314,8 +314,8 @@ class Task(Checked):
 
         Args:
             trajectory: simulated or driven.
-            record: of :meth:`new_record` and :meth:`add`, of what came before where trajectories
-                continue a trial, one row; by default trials begin at their first poses.
+            record: of :meth:`new_record` and :meth:`add`, one row for the earlier part of a trial
+                that the trajectories continue; by default trials begin at their first poses.
 
         Raises:
             UserError: if the task is scored by poses or readings that the trajectory lacks.
@@ -342,10 +342,10 @@ class Task(Checked):
         return judged.mapped(lambda one: np.asarray(one).reshape(shape))
 
     def check_scored(self, poses: bool, readings: bool) -> None:
-        """Refuse trials that have no poses or no readings where the task is scored by them.
+        """Raise an error for trials that lack poses or readings that the task needs.
 
         Raises:
-            UserError: naming what is missing.
+            UserError: naming the missing part.
         """
         if "poses" in self.scored_by and not poses:
             raise UserError(f"{self.name} needs the robot's poses: use a camera")
@@ -362,17 +362,17 @@ class Task(Checked):
         """Return start poses [count, 3] drawn at random; None: every trial starts at ``start``.
 
         Args:
-            simulator: knows what place there is.
+            simulator: has the place.
             count: poses.
             rng: source of the draws.
         """
         return None
 
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return which part of the course each pose [..., 3] is in, a number for each part.
+        """Return the number of the part of the course in which each pose [..., 3] is.
 
-        Crossover pairs commands of two plans that were given in the same part; by default in the
-        same square of half a metre.
+        Crossover pairs commands of two plans in the same part; by default in the same square of
+        half a metre.
         """
         squares = np.floor(np.nan_to_num(np.asarray(poses)[..., :2], nan=1e3) / 0.5)
         x, y = np.clip(squares, -1000, 1000).astype(np.int64).T
@@ -382,13 +382,13 @@ class Task(Checked):
         """Return the shapes of the task for a picture, in m: a list of shapes.
 
         Each is ``{"polygon": [[x, y], ...]}`` (of two points, a line; with a ``width``, a printed
-        one), ``{"circle": [x, y, radius]}`` or ``{"text": str, "at": [x, y]}``; what the robot must
-        not touch or enter has ``"forbidden": True``.
+        one), ``{"circle": [x, y, radius]}`` or ``{"text": str, "at": [x, y]}``; a shape that the
+        robot must not touch or enter has ``"forbidden": True``.
         """
         return []
 
     def describe(self) -> dict[str, Any]:
-        """Return name and settings, enough to make the same task again."""
+        """Return name and settings, from which the same task can be made."""
         settings: dict[str, Any] = asdict(self) if is_dataclass(self) else {}
         if settings.get("place") is not None:
             settings["place"] = self.place.to_json()  # type: ignore[union-attr]
@@ -396,7 +396,7 @@ class Task(Checked):
 
 
 def _over(own: NDArray[np.float64], guard: NDArray[np.float64] | None) -> NDArray[np.bool_]:
-    """Return which trials [K] are over, by the parts of their records."""
+    """Return whether trials [K] are over, by the parts of their records."""
     return (own[:, 0] > 0) if guard is None else (own[:, 0] > 0) | (guard[:, 3] > 0)
 
 

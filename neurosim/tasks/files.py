@@ -21,11 +21,11 @@ class FilesAndTasks:
         return TASKS.names()
 
     def get(self, text: str) -> type[Task] | Task:
-        """Return a task's class; of a file the task that it describes.
+        """Return a task's class, or the task of a file.
 
         Raises:
-            UserError: if there is no such task.
-            FileError: if the file is not that of a task.
+            UserError: if the task is unknown.
+            FileError: if the file is not a task.
         """
         name, settings = read_task(text)
         return TASKS.make(name, settings) if settings else TASKS.get(name)
@@ -35,11 +35,11 @@ FILES_AND_TASKS = FilesAndTasks()
 
 
 def read_task(text: str) -> tuple[str, dict[str, Any]]:
-    """Return a task's name and the settings that a file gives it.
+    """Return a task's name and settings from a file.
 
     Raises:
-        UserError: if there is no such task.
-        FileError: if the file is not that of a task.
+        UserError: if the task is unknown.
+        FileError: if the file is not a task.
     """
     if not text.endswith(".json"):
         return text, {}

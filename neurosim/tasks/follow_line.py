@@ -23,18 +23,18 @@ from neurosim.tasks.base import Interval, Judgement, Task
 class FollowLine(Task):
     """Follow a closed line on the board.
 
-    Fitness is the way made along the line in laps, in the direction in which the robot was placed,
-    until it loses the line or the time is up. The way back counts against it.
+    Fitness is the distance along the line in laps, in the direction in which the robot was placed,
+    until it loses the line or the time is up. Driving back reduces it.
 
     Attributes:
         place: Place with the line, a JSON file or a name: rectangle or ellipse, of 1.4 x 0.8 m
             around the board's middle; by default the rectangle. Its first closed line counts.
         laps: Laps without losing the line that count as success.
-        within: The line is lost where the middle of the axle is further from it, m.
+        within: Distance of the middle of the axle from the line beyond which the line is lost, m.
         direction: Which way trials go round: along the line (counter-clockwise, or in the points'
             order), against it, or both, each as often in random starts.
         step: Time between two commands, s.
-        seconds: Time that a trial has, s.
+        seconds: Time of a trial, s.
     """
 
     name: ClassVar[str] = "follow-line"
@@ -59,7 +59,7 @@ class FollowLine(Task):
 
     @cached_property
     def line(self) -> ClosedLine:
-        """The line, in the order in which it is gone along."""
+        """The line, in driving order."""
         assert self.place is not None
         for line in self.place.lines:
             if line.closed:
@@ -68,7 +68,7 @@ class FollowLine(Task):
 
     @property
     def start(self) -> Pose:  # type: ignore[override]
-        """The beginning of the line, facing along it, or against it where trials go that way."""
+        """The beginning of the line, facing along it, or against it in that direction."""
         x, y, heading = self.line.poses(0.0, self.direction == "against").tolist()
         return x, y, heading
 
@@ -95,8 +95,8 @@ class FollowLine(Task):
     def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return records [K, 7].
 
-        Their columns: lost; way along the line (m); direction (1 or -1); laps made, and most; sum
-        of distances from the line (m), their number.
+        Their columns: lost; position along the line (m); direction (1 or -1); laps, and most laps;
+        sum of distances from the line (m), their number.
         """
         away, along, direction = self._seen(poses)
         lost = away > self.within
@@ -116,7 +116,7 @@ class FollowLine(Task):
         record[:, 6] += ~lost
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
-        """Return laps; in ``detail`` also the mean distance from the line until it was lost, m."""
+        """Return laps; ``detail`` also has the mean distance from the line until it was lost, m."""
         lost, _, _, laps, most, away, count = record.T
         mean, why = away / np.maximum(count, 1), np.where(lost > 0, 0, 1)
         return Judgement.of(laps, most >= self.laps, why, laps=laps, distance=mean)
@@ -126,16 +126,16 @@ class FollowLine(Task):
         return self.place.shapes()
 
     def _seen(self, poses: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
-        """Return of poses [..., 3] the distance from the line, the way along it, and the sense.
+        """Return distance of poses [..., 3] from the line, position along it, and direction.
 
-        [...] each, m, m, and 1 where the robot faces along the line, else -1. Unknown poses are far
-        away.
+        They are [...] each, m, m, and 1 if the robot faces along the line, else -1. Unknown poses
+        are far away.
         """
         away, along = self.line.nearest(np.nan_to_num(poses[..., :2], nan=1e6))
         heading = self.line.poses(along)[..., 2]
         return away, along, np.where(np.cos(poses[..., 2] - heading) >= 0, 1.0, -1.0)
 
     def _forward(self, before: NDArray, after: NDArray) -> NDArray[np.float64]:
-        """Return by how much a way along the line went on, m, the shorter way round."""
+        """Return the change of the position along the line, m, the shorter way round."""
         length = self.line.length
         return np.remainder(after - before + length / 2, length) - length / 2

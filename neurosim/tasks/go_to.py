@@ -28,16 +28,15 @@ _FAR = 1e3
 class GoTo(Task):
     """Drive to poses in turn and stop at the last.
 
-    Fitness is the number of goals that were passed, and how much of the way to the next one was
-    made; at the last goal also how well it was hit. A robot that touches something gets nothing for
-    what it does afterwards.
+    Fitness is the number of passed goals, plus the covered fraction of the distance to the next
+    one; at the last goal also its accuracy. After a contact nothing counts.
 
     Attributes:
         goals: List of poses to pass: x (m), y (m), heading (rad) of each; the heading counts at the
             last one only.
         begin: Start pose: x (m), y (m), heading (rad); by default that of the place, or the origin.
-        place: Place of the trials, a JSON file or a name; by default nothing can be touched.
-        radius: Radius of the robot, m: its centre keeps so far away from walls and obstacles.
+        place: Place of the trials, a JSON file or a name; by default without walls and obstacles.
+        radius: Radius of the robot, m: its centre keeps this distance from walls and obstacles.
         within: Distance within which a goal is passed, m.
         tolerance: Distance from the last goal within which the robot must stop, m.
         heading_tolerance: Difference from the last goal's heading within which the robot must stop,
@@ -45,9 +44,9 @@ class GoTo(Task):
         step: Time between two commands of a closed-loop controller, s.
         seconds: Time of a closed-loop controller, s.
         area: Length and width of a board, m: trials start anywhere on it, and end at a last goal
-            that is anywhere on it, too. Both are moved together until the goal is where the task
-            has it, so a controller that knows only where its goal is learns to go anywhere. By
-            default all trials start at begin.
+            that is anywhere on it, too. Both are moved together until the goal is at the task's
+            goal, so a controller that gets only the goal's relative position learns to go anywhere.
+            By default all trials start at begin.
     """
 
     name: ClassVar[str] = "go-to"
@@ -95,7 +94,7 @@ class GoTo(Task):
 
     @property
     def start(self) -> Pose:  # type: ignore[override]
-        """Where a trial starts."""
+        """Start pose of a trial."""
         if self.begin is not None:
             return self.begin
         own = None if self.place is None else self.place.start
@@ -103,22 +102,22 @@ class GoTo(Task):
 
     @property
     def highest_fitness(self) -> float:  # type: ignore[override]
-        """All goals passed and the last one hit exactly, with its heading where that counts."""
+        """Fitness with all goals passed and the last one reached exactly, with its heading."""
         return float(len(self.goals) + 1 + (self.heading_tolerance is not None))
 
-    #: A robot that is stopped at the last goal is worth no more than one that just reaches it.
+    #: A robot that the guard stops at the last goal gets no more than one that just reaches it.
     stop_penalty: ClassVar[float] = 0.5  # type: ignore[misc]
 
     @property
     def episode(self) -> Episode:
-        """Steps for ``seconds``, then the motors run down."""
+        """Steps for ``seconds``, then a stop."""
         steps = max(round(self.seconds / self.step), 1)
         return Episode(self.step, steps, RUN_DOWN, np.array(self.goals), self.within)
 
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator
     ) -> NDArray[np.float64] | None:
-        """Return start poses [count, 3] as ``area`` says, or None."""
+        """Return start poses [count, 3] in ``area``, or None."""
         if self.area is None:
             return None
         start, goal = (anywhere(self.area, count, rng) for _ in range(2))
@@ -139,7 +138,7 @@ class GoTo(Task):
         self._add(record, _finite(interval.poses))
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
-        """Return goals passed and how well the last was hit; ``distance`` (m), ``turn`` (rad)."""
+        """Return passed goals and the accuracy at the last; ``distance`` (m), ``turn`` (rad)."""
         goals, last = self._goals, len(self.goals) - 1
         passed, nearest = record[:, 4].astype(np.int64), record[:, 5:]
         touched, end = record[:, 0] > 0, record[:, 1:4]
@@ -155,7 +154,8 @@ class GoTo(Task):
         fine = np.ones_like(good)
         if self.heading_tolerance is not None:
             fine = turned <= self.heading_tolerance
-        # Passing all is worth len(goals); hitting the last one up to 1 more, or 2 with a heading.
+        # All passed goals give len(goals); accuracy at the last one up to 1 more, or 2 with a
+        # heading.
         hit = 1.0 / (1.0 + away / self.tolerance)
         if self.heading_tolerance is not None:
             hit = hit + 1.0 / (1.0 + turned / self.heading_tolerance)
@@ -179,11 +179,11 @@ class GoTo(Task):
 
     @property
     def _solids(self) -> Place | None:
-        """The place, if there is anything to touch in it."""
+        """The place, if it has solid parts."""
         return self.place if self.place is not None and self.place.solid else None
 
     def _touches(self, before: NDArray, after: NDArray) -> NDArray[np.bool_]:
-        """Return who touches a wall or an obstacle [...] between places [..., 2]."""
+        """Return whether a robot touches a wall or an obstacle [...] between points [..., 2]."""
         near = np.zeros(before.shape[:-1], np.bool_)
         if self._solids is None:
             return near

@@ -10,24 +10,24 @@ The board's middle is divided into nine rectangles of 80 x 50 cm::
     | 7 | 6 | 5 |
     +---+---+---+
 
-The robot starts in the centre of the centre-left rectangle, facing rectangle 1, is to pass
-through 1 to 7 in order and to end, stopped, in the rectangle it started in, which counts as 8.
-It must not enter the centre (X), leave the grid, or skip a rectangle. Another board has other
-rectangles: their size and order are settings.
+The robot starts in the centre of the centre-left rectangle, facing rectangle 1. It must pass
+through 1 to 7 in order and stop in its first rectangle, which counts as 8.
+It must not enter the centre (X), leave the grid, or skip a rectangle. Size and order of the
+rectangles are settings, for other boards.
 
-Fitness is equation 2, F = N_max^2 - C_nogain / 10. N_max is the furthest rectangle reached; 8
-is reached only by a robot that ends there, so one that drives through it has 7. C_nogain counts
-the given commands that end no further along the course than they began. The paper reduces the
-fitness of a robot that breaks a rule "immediately" and "heavily" without saying by how much:
-here nothing after the breach counts any more (N_max stays, later commands gain nothing), and
-``penalty`` is taken off. It is a constant, so that among plans with a breach, as nearly all of
-the first generation are, those that come further before it still win.
+Fitness is equation 2, F = N_max^2 - C_nogain / 10. N_max is the furthest rectangle reached; a robot
+reaches 8 only if it ends there, so one that drives through it has 7. C_nogain counts the given
+commands without progress along the course. The paper reduces the fitness of a robot that breaks a
+rule "immediately" and "heavily", but gives no number: here nothing after the breach counts (N_max
+stays, later commands gain nothing), and ``penalty`` is subtracted. It is a constant, so that plans
+with more progress before a breach still win; nearly all plans of the first generation have a
+breach.
 
-Between two poses the robot is taken to move on the arc of constant twist, checked at its centre
-every 2 cm or closer. Where the heading changes by nearly a whole turn (or several) while the
-place changes, that arc grows without bound, however little the robot really moved: an arc longer
-than ``longest_arc``, farther than a robot drives in one command, is replaced by the straight
-line to the end pose.
+Between two poses the robot is assumed to move on the arc of constant twist, whose centre is checked
+every 2 cm or closer. If the heading changes by nearly a whole turn (or several) while the position
+changes a little, this arc is very long, although the robot moved little. An arc longer than
+``longest_arc``, farther than a robot drives in one command, is replaced by the straight line to the
+end pose.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from neurosim.tasks.base import Interval, Judgement, Task
 #: The centre is checked at least this often, m.
 SPACING = 0.02
 
-#: What a robot can do wrong; 0 is nothing.
+#: Faults of a robot; 0: none.
 FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}
 _FORBIDDEN, _OUTSIDE, _SKIPPED = FAULTS
 #: Columns of a record before the squares of the nearest distances to the goals (m^2): breach; pose
-#: (3); progress; N_max below the last goal; C_nogain; fault; progress when the command began;
-#: square of the distance from the last goal now (m^2).
+#: (3); progress; N_max below the last goal; C_nogain; fault; progress at the command's beginning;
+#: present square of the distance from the last goal (m^2).
 _COLUMNS = 10
 _NOT_THERE = "did not end in the last rectangle"
 
@@ -131,17 +131,17 @@ class NineRectangles(Task):
 
     @property
     def highest_fitness(self) -> float:  # type: ignore[override]
-        """Equation 2 of the last goal, reached by commands that all gain something."""
+        """Equation 2 for the last goal, with commands that all make progress."""
         return float(self.last**2)
 
     @property
     def stop_penalty(self) -> float:  # type: ignore[override]
-        """To be stopped by the guard is a breach, too."""
+        """A stop by the guard counts as a breach, too."""
         return self.penalty
 
     @property
     def episode(self) -> Episode:
-        """Steps for ``seconds``, then the motors run down; goals are the rectangles' centres."""
+        """Steps for ``seconds``, then a stop; goals are the rectangles' centres."""
         places = [self.centre(number) for number in range(1, self.last + 1)]
         ahead = np.diff(np.array([*places, self.centre(self.last + 1)]), axis=0)
         headings = np.arctan2(ahead[:, 1], ahead[:, 0])
@@ -167,9 +167,9 @@ class NineRectangles(Task):
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return equation 2; ``detail`` has ``furthest``, ``no_gain`` and ``fault`` of FAULTS.
 
-        ``furthest`` is N_max, ``no_gain`` C_nogain. Progress adds how near the robot came to the
-        next rectangle: most of what reaching it would add; the last one counts only where the
-        robot ends.
+        ``furthest`` is N_max, ``no_gain`` C_nogain. Progress adds the nearness to the next
+        rectangle, up to most of the value of reaching it; the last one counts only at the robot's
+        last pose.
         """
         fault, no_gain = record[:, 7].astype(np.int64), record[:, 6].astype(np.int64)
         success = (fault == 0) & (record[:, 4] == self.last)
@@ -243,7 +243,7 @@ def _places(x: NDArray, y: NDArray, grid: tuple) -> NDArray:
 
 @njit(cache=True, nogil=True)
 def _room(x: float, y: float, grid: tuple) -> float:
-    """Return how far (m) a point in the grid is from the borders of its rectangle."""
+    """Return the distance (m) of a point in the grid from the borders of its rectangle."""
     course, length, width = grid
     column, row = x / length + 0.5 * course.shape[1], 0.5 * course.shape[0] - y / width
     column, row = column - math.floor(column), row - math.floor(row)
@@ -256,7 +256,7 @@ def _place(x: float, y: float, grid: tuple) -> int:
     course, length, width = grid
     rows, columns = course.shape
     column, row = x / length + 0.5 * columns, 0.5 * rows - y / width
-    # Compared before they are rounded: what is not a number is outside too.
+    # Compared before they are rounded, so that NaN is outside, too.
     if not (0.0 <= column < columns and 0.0 <= row < rows):
         return -2
     return course[int(row), int(column)]
@@ -266,8 +266,8 @@ def _place(x: float, y: float, grid: tuple) -> int:
 def _advance(progress: int, place: int, last: int) -> tuple[int, int]:
     """Return progress along the course after a step to ``place``, and the fault or 0.
 
-    Progress counts rectangles from the start: it goes on beyond the last on a second round, and
-    falls when the robot goes back.
+    Progress counts rectangles from the start: it continues beyond the last in a second round, and
+    falls when the robot drives back.
     """
     if place == -2:
         return progress, _OUTSIDE
@@ -300,7 +300,7 @@ def _segment(
     x, y = end_x - start_x, end_y - start_y
     chord = math.sqrt(x * x + y * y)
     turn = end_heading - start_heading
-    # Also true where anything is not a number.
+    # Also true for NaN.
     if not (chord < 10.0 and abs(turn) < 1e6):
         return progress, progress, _OUTSIDE
     length = se2.arc_length(x, y, turn)
@@ -308,7 +308,7 @@ def _segment(
         turn, length = 0.0, chord
     samples = math.ceil(length / SPACING)
     highest = progress
-    # Samples that are nearer than the rectangle's border cannot lie beyond it.
+    # Samples nearer than the rectangle's border cannot be beyond it.
     sample = max(1, int(_room(start_x, start_y, grid) / length * samples)) if samples > 1 else 1
     while sample < samples:
         at_x, at_y = se2.arc(x, y, turn, sample / samples)
@@ -342,7 +342,7 @@ def _add(
     goals: NDArray,
     longest: float,
 ) -> None:
-    """Move robots with records [K, W] to poses [K, 3], or begin there; see :data:`_COLUMNS`.
+    """Move robots with records [K, W] to poses [K, 3], or begin at these; see :data:`_COLUMNS`.
 
     ``first`` and ``last_record`` limit the robots, from the first to before the last.
     """

@@ -16,26 +16,26 @@ from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
 
-#: Side of the squares whose visits are counted, m.
+#: Side of the squares for counting visits, m.
 CELL = 0.05
 _NONE = -(2.0**60)
 
 
 @dataclass(frozen=True)
 class ObstacleAvoidance(Task):
-    """The task: drive fast and straight and keep away from everything.
+    """The task: drive fast and straight, and keep away from walls and obstacles.
 
-    The paper has no success besides the fitness; here it is a fitness of at least ``enough`` from
-    a start.
+    The paper defines no success; here it is a fitness of at least ``enough`` from a start.
 
     Attributes:
-        fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, how many
-            different squares of 5 cm were visited.
+        fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, the number of
+            different visited squares of 5 cm.
         steps: Steps of a trial, over all its starts together.
-        starts: Random poses from which a trial starts, each for an equal share of the steps.
+        starts: Number of random poses from which a trial starts, each with an equal part of the
+            steps.
         duration: Duration of a step, s.
-        contacts: The cost of a contact: free, nothing, as in the paper; or end: what comes
-            after the first contact counts nothing. On a robot nobody knows of contacts.
+        contacts: The cost of a contact: free, nothing, as in the paper; or end: the time after the
+            first contact counts nothing. On a robot contacts are unknown.
         enough: Fitness from one start that counts as success; by default, for avoidance, half of
             its steps, and 0 for other fitness.
         place: Place of the trials, a JSON file or a name; by default that of the simulator.
@@ -64,24 +64,24 @@ class ObstacleAvoidance(Task):
 
     @property
     def trial_starts(self) -> int:  # type: ignore[override]
-        """A trial is made from so many starts."""
+        """Number of starts of a trial."""
         return self.starts
 
     @property
     def highest_fitness(self) -> float | None:  # type: ignore[override]
-        """Of equation (1): a step is worth at most 1."""
+        """The highest value of equation (1), 1 for each step."""
         return float(self.steps) if self.fitness == "avoidance" else None
 
     @property
     def episode(self) -> Episode:
-        """From each start an equal share of the steps; the robot is not stopped at the end."""
+        """An equal part of the steps from each start; the robot is not stopped at the end."""
         steps = self.steps // self.starts
         return Episode(self.duration, steps, readings=True, contacts=self.contacts == "end")
 
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator
     ) -> NDArray[np.float64] | None:
-        """Return random poses where the robot touches nothing."""
+        """Return random poses at which the robot touches nothing."""
         return simulator.free_poses(count, rng)
 
     @property
@@ -101,7 +101,7 @@ class ObstacleAvoidance(Task):
         return record
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval; what comes after a contact counts nothing where contacts end a drive."""
+        """Add an interval; nothing counts after a contact if contacts end a drive."""
         if self.fitness == "cells":
             return self._visit(record, interval.poses)
         if self.contacts == "end" and interval.touching is not None:
@@ -113,7 +113,7 @@ class ObstacleAvoidance(Task):
         _add(readings, np.ascontiguousarray(interval.commands), steps.copy(), record)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
-        """Return the sum of equation (1), or how many squares were visited."""
+        """Return the sum of equation (1), or the number of visited squares."""
         fitness = record[:, 1]
         return Judgement.of(fitness, fitness >= self.least)
 
@@ -134,20 +134,20 @@ class ObstacleAvoidance(Task):
         return 0.5 * self.episode.steps if self.fitness == "avoidance" else 0.0
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum over the starts [..., starts]: a trial is all of them."""
+        """Return the sum over the starts [..., starts], which form a trial."""
         return fitness.sum(axis=-1)
 
 
 def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
-    """Return equation (1) [...] of trajectories in steps of so many seconds.
+    """Return equation (1) [...] of trajectories, for a step's duration in seconds.
 
-    Where contacts are known, what comes after the first one counts nothing.
+    If contacts are known, the time after the first one counts nothing.
     """
     return ObstacleAvoidance(duration=step, contacts="end").judge(trajectory).fitness
 
 
 def cells_visited(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Return how many different squares of :data:`CELL` the robot's centre was in, [...]."""
+    """Return the number of squares of :data:`CELL` that the robot's centre visited, [...]."""
     steps = trajectory.commands.shape[-2]
     return ObstacleAvoidance("cells", steps=steps, starts=1).judge(trajectory).fitness
 
@@ -158,7 +158,7 @@ def _worth(readings, command):  # type: ignore[no-untyped-def]
 
     It is V (1 - DV^2) (1 - I): V is the mean of the wheels' absolute speeds over full speed, DV
     half the difference of the signed ones over full speed, I the highest sensor; all in 0..1 (DV
-    in -1..1). To drive fast, straight and far from everything is best: 1.
+    in -1..1). Its maximum, 1, is reached by driving fast, straight and far from objects.
     """
     highest = np.float64(0.0)
     for s in range(len(readings)):

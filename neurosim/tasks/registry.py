@@ -29,11 +29,11 @@ def make_task(task: str | Mapping[str, Any] | Task, **settings: Any) -> Task:
     """Return a task.
 
     Args:
-        task: its name; or ``{"name", "settings"}``, as artefacts say it; or the task itself.
-        settings: of a task that is named.
+        task: its name; or ``{"name", "settings"}``, as in artefacts; or the task itself.
+        settings: of a task that is given by name.
 
     Raises:
-        UserError: if there is none, or it has no such setting.
+        UserError: if the task or a setting is unknown.
 
     Example:
         >>> ns.make_task("obstacle-avoidance", steps=100).steps

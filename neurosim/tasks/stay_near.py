@@ -1,4 +1,4 @@
-"""Reach something and stay near it: a light, or obstacles of one size among others."""
+"""Reach a target and stay near it: a light, or obstacles of one size among others."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from neurosim.base.trajectory import Episode
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
 
-#: Obstacles whose radii differ by less are of one size, m.
+#: Difference of radii below which obstacles have the same size, m.
 _SAME_SIZE = 0.0005
-#: The start of single trials, where the place has none, is so far from walls, m.
+#: Distance of the default start from walls, m.
 _ROOM = 0.05
-#: So often starts are drawn until there are enough.
+#: Number of times that starts are drawn until there are enough.
 _TRIES = 200
 
 
@@ -29,18 +29,18 @@ _TRIES = 200
 class StayNear(Task):
     """Reach a target and stay near it; subclasses name the targets.
 
-    Fitness is the fraction of the time that the robot is near a target, less the fraction that it
-    is near something from which it should keep away. ``progress`` also grows on the way there.
+    Fitness is the fraction of the time near a target, less the fraction near an object to keep away
+    from. ``progress`` also grows during the approach.
 
     Attributes:
         place: Place of the trials, a JSON file or a name.
-        within: From the robot's middle to the target; nearer than this is near, m.
-        stay: For so long the robot must have been near at the end of a trial to succeed, s.
-        starts: Random poses from which a trial starts, none of them near a target.
+        within: Distance from the robot's middle to the target that counts as near, m.
+        stay: Time near the target at the end of a trial that counts as success, s.
+        starts: Number of random poses from which a trial starts, none of them near a target.
         step: Time between two commands, s.
-        seconds: Time that a trial has from each start, s.
-        contacts: Whether a contact ends what counts: free, no; or end, from the first one on. On a
-            robot contacts are unknown.
+        seconds: Time of a trial from each start, s.
+        contacts: The effect of a contact: free, none; or end: nothing counts after the first one.
+            On a robot contacts are unknown.
     """
 
     reasons: ClassVar[tuple[str, ...]] = (
@@ -69,12 +69,12 @@ class StayNear(Task):
 
     @cached_property
     def others(self) -> NDArray[np.float64]:
-        """Round things from which to keep away, likewise."""
+        """Round objects to keep away from, [N, 3]: x, y, radius (m)."""
         return np.empty((0, 3))
 
     @property
     def trial_starts(self) -> int:  # type: ignore[override]
-        """A trial is made from so many starts."""
+        """Number of starts of a trial."""
         return self.starts
 
     @property
@@ -101,7 +101,7 @@ class StayNear(Task):
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator
     ) -> NDArray[np.float64] | None:
-        """Return random poses [count, 3] where the robot touches nothing and is near no target."""
+        """Return random poses [count, 3] without a contact and not near a target."""
         if simulator.free_poses(1, np.random.default_rng(0)) is None:
             return None
         return self._far(lambda: simulator.free_poses(count, rng), count)
@@ -109,16 +109,15 @@ class StayNear(Task):
     def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return records [K, 8].
 
-        Their columns: touched something; last known place (m, m); time, time near a target, near
-        something else, near a target without a break until now, and weighted with how near it
-        was, s.
+        Their columns: touched something; last known position (m, m); time, time near a target, near
+        another object, near a target without a break so far, and time weighted by nearness, s.
         """
         record = np.zeros((len(poses), 8))
         record[:, 1:3] = poses[:, :2]
         return record
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval, for which the robot is where it is at its end."""
+        """Add an interval, with the robot's pose at its end."""
         seen = np.isfinite(interval.poses).all(axis=1)
         record[seen, 1:3] = interval.poses[seen, :2]
         away = _distance(record[:, 1:3], self.targets)
@@ -137,7 +136,7 @@ class StayNear(Task):
         """Return the fractions of the time; ``near`` and ``wrong`` are those of the two parts."""
         touched, _, _, time, near, wrong, lasting, close = record.T
         whole = np.maximum(time, 1e-9)
-        # Durations that were added up differ from their product.
+        # The sum of durations differs from the product by rounding.
         success = lasting >= self.stay - 1e-6
         return Judgement.of(
             (near - wrong) / whole,
@@ -149,7 +148,7 @@ class StayNear(Task):
         )
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return the place, and circles that are near the targets."""
+        """Return the place, and circles around the targets."""
         assert self.place is not None
         near = [[x, y, radius + self.within] for x, y, radius in self.targets.tolist()]
         return [*self.place.shapes(), *({"circle": circle} for circle in near)]
@@ -195,7 +194,7 @@ class Phototaxis(StayNear):
 
     @property
     def senses(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Ambient light, and proximity if it is asked for."""
+        """Ambient light, and proximity if it is wanted."""
         return ("light",) if self.sees == "light" else ("proximity", "light")
 
     @cached_property
@@ -216,9 +215,9 @@ class Discrimination(StayNear):
     Attributes:
         place: Place of the trials, with a target, a JSON file or a name; by default a room of 40 x
             40 cm with a small cylinder.
-        within: From the robot's middle to the target's surface; nearer than this is near, m.
+        within: Distance from the robot's middle to the target's surface that counts as near, m.
         target: Radius of the obstacles to stay near, m.
-        seconds: Time that a trial has from each start, s.
+        seconds: Time of a trial from each start, s.
     """
 
     name: ClassVar[str] = "discrimination"
@@ -256,13 +255,13 @@ class Discrimination(StayNear):
 
 
 def _some(circles: Sequence[Any] | NDArray, what: str) -> NDArray[np.float64]:
-    """Return circles [N, 3], of which there must be one."""
+    """Return circles [N, 3], at least one."""
     if not len(circles):
         raise UserError(f"this place has no {what}: add one to it")
     return np.array(circles, np.float64)
 
 
 def _distance(points: NDArray[np.float64], circles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far points [K, 2] are from the nearest of circles [N, 3], m; 0 inside."""
+    """Return the distance of points [K, 2] from the nearest of circles [N, 3], m; 0 inside."""
     away = np.linalg.norm(points[:, None] - circles[:, :2], axis=-1) - circles[:, 2]
     return np.maximum(away.min(axis=1, initial=np.inf), 0.0)

@@ -1,4 +1,4 @@
-"""To walk fast: the displacement over a trial (Zagal et al. 2004, section 5.2)."""
+"""Walk fast: the displacement over a trial (Zagal et al. 2004, section 5.2)."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from neurosim.tasks.base import Interval, Judgement, Task
 class Walking(Task):
     """A trial of some seconds; the fitness is the displacement divided by the time, m/s.
 
-    Where there is no pose the robot has fallen. A fall and a stall are failures: no speed at all.
+    A robot without a pose has fallen. A fall and a stall are failures, with speed 0.
 
     Attributes:
         seconds: Duration of a trial, s.
         step: Time between two commands of the joints, s.
-        stall: A robot that is slower than this has not walked, m/s.
+        stall: Speed below which a robot has not walked, m/s.
     """
 
     name: ClassVar[str] = "walking"
@@ -41,7 +41,7 @@ class Walking(Task):
         return Episode(step=self.step, steps=round(self.seconds / self.step))
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval; the robot has fallen where it has no pose."""
+        """Add an interval; a robot without a pose has fallen."""
         record[:, 0] = (record[:, 0] > 0) | np.isnan(interval.poses).any(axis=-1)
         super().advance(record, interval)
 

@@ -1,8 +1,8 @@
-"""Folders to copy: a robot, a task, a simulator or a controller of one's own, with its test.
+"""Folders to copy: a user's own robot, task, simulator or controller, with its test.
 
 A template's files have three words that are replaced: ``my-thing`` by the name, ``my_thing`` by the
-name as Python writes it, ``MyThing`` by the beginning of the
-names of classes. They are replaced in the names of files, too.
+name in Python's form, ``MyThing`` by the beginning of class names. They are replaced in names of
+files, too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from neurosim.robots.registry import ROBOTS
 from neurosim.simulators.registry import SIMULATORS
 from neurosim.tasks.registry import TASKS
 
-#: What there are templates of, and where such things are registered.
+#: The kinds of templates, and the registry of each.
 TEMPLATES: dict[str, Registry] = {
     "robot": ROBOTS,
     "task": TASKS,
@@ -28,23 +28,23 @@ TEMPLATES: dict[str, Registry] = {
     "controller": CONTROLLERS,
 }
 _NAME = re.compile(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*")
-#: Template files end in this, so that no tool takes them for modules.
+#: Ending of template files, so that no tool mistakes them for modules.
 _SUFFIX = ".txt"
 
 
 def make_from_template(kind: str, name: str, folder: str | Path) -> list[Path]:
-    """Make a folder with a part of one's own that works at once.
+    """Make a folder with a user's own part that works at once.
 
     Args:
         kind: a key of :data:`TEMPLATES`.
-        name: of the part, such as ``my-robot``.
-        folder: a new one.
+        name: name of the part, such as ``my-robot``.
+        folder: the new folder.
 
     Returns:
         Its files.
 
     Raises:
-        UserError: if the name cannot be one or is taken, or if something stands in the folder.
+        UserError: if the name is invalid or taken, or the folder is not empty.
     """
     module = name.replace("-", "_")
     if not _NAME.fullmatch(name) or keyword.iskeyword(module) or len(name) > 40:

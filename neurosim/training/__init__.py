@@ -1,4 +1,4 @@
-"""From a dataset to a simulator, and how well it predicts."""
+"""From a dataset to a simulator, and the errors of its predictions."""
 
 from neurosim.training.evaluate import evaluate
 from neurosim.training.train import train

@@ -18,7 +18,7 @@ class Within(NamedTuple):
     """Poses within commands, [K] each.
 
     Attributes:
-        row: of the command.
+        row: index of the command.
         time: since its beginning, s.
         moved: displacement since its beginning, [K, 3] m, m, rad.
     """
@@ -30,18 +30,18 @@ class Within(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainingData:
-    """The rows to learn from, and how they are scaled for a network.
+    """The training rows, and their scale for a network.
 
     Attributes:
         inputs: names and units of the inputs, [{name, unit}].
         x: inputs, [N, I], float64, in the dataset's units.
         y: displacements, [N, 3], in m, m and rad.
-        within: poses within the commands, where they are known.
-        scale: what inputs are divided by, [I]; None: the largest magnitude of each.
-        joined: whether a row begins where that before it ended, [N] bool, where windows of several
-            rows are to be learned from; None: each row stands for itself.
-        start: where the robot was when each command began, [N, 3] m, m, rad, one frame for all;
-            None: that is not known.
+        within: poses within the commands, if known.
+        scale: divisors of the inputs, [I]; None: the largest magnitude of each.
+        joined: whether a row begins at the end of the previous one, [N] bool, for learning from
+            windows of several rows; None: rows are independent.
+        start: pose of the robot at each command's beginning, [N, 3] m, m, rad, in a common frame;
+            None: unknown.
     """
 
     inputs: list[dict[str, str]]
@@ -59,7 +59,7 @@ class TrainingData:
             return self.scale
         scale = self.x.abs().amax(0)
         names = [entry["name"] for entry in self.inputs]
-        # A speed before a command is measured as the command is.
+        # A previous speed has the scale of the command.
         for place, name in enumerate(names):
             before = f"prev_{name}"
             if before in names:
@@ -68,13 +68,13 @@ class TrainingData:
         return _not_zero(scale)
 
     def once(self) -> TrainingData:
-        """Return the data without rows that are there already: they would count twice."""
+        """Return the data without duplicate rows, which would count twice."""
         rows = torch.cat([self.x, self.y], dim=1).numpy()
         first = np.sort(np.unique(rows, axis=0, return_index=True)[1])
         return self if len(first) == len(rows) else self.part(torch.from_numpy(first))
 
     def part(self, rows: Tensor | slice) -> TrainingData:
-        """Return some of the rows, by their places or a slice of them, scaled by themselves."""
+        """Return some of the rows, by indices or a slice, with their own scale."""
         chosen = torch.arange(len(self.x))[rows]
         within = self.within
         if within is not None:
@@ -94,7 +94,7 @@ class TrainingData:
 
     @property
     def follows(self) -> Tensor:
-        """Whether each row's command followed that of the row before it, [N] bool."""
+        """Whether each row's command followed that of the previous row, [N] bool."""
         return follows([entry["name"] for entry in self.inputs], self.x)
 
     @property
@@ -117,12 +117,12 @@ Units = Annotated[int, Meta(ge=1, le=4096)]
 
 
 class Trainer(Protocol):
-    """Learns a motion network, a generation at a time.
+    """Learns a motion network, generation by generation.
 
     Attributes:
-        source: where the method was published.
+        source: publication of the method.
         settings_type: class of its settings, a frozen dataclass.
-        generations: how often :meth:`advance` is to be called.
+        generations: number of calls of :meth:`advance`.
     """
 
     source: str
@@ -132,7 +132,7 @@ class Trainer(Protocol):
     def __init__(self, data: TrainingData, settings: Any, seed: int, device: str) -> None: ...
 
     def advance(self) -> Tensor:
-        """Work one generation; return the least mean squared error so far, [3], in SI units."""
+        """Run one generation; return the lowest mean squared errors so far, [3], in SI units."""
         ...
 
     def result(self) -> MotionNetwork:

@@ -1,4 +1,4 @@
-"""Whether intervals and regions that a simulator gives hold what they say they hold."""
+"""The coverage of a simulator's intervals and regions."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.network import OUTPUTS
 from tracking.datasets.dataset import Dataset
 
-#: What the intervals say they hold.
+#: Nominal probabilities of the intervals.
 LEVELS = (0.5, 0.8, 0.95)
 
-#: Samples drawn of each command.
+#: Number of samples of each command.
 DRAWS = 400
 
-#: Rows worked on at a time.
+#: Number of rows computed at a time.
 _ROWS = 500
 
 
 def coverage(
     simulator: MotionNetwork, rows: Dataset, seed: int = 0
 ) -> dict[str, dict[str, float]] | None:
-    """Return how much of a dataset lies within the intervals that a simulator gives.
+    """Return the fractions of a dataset within a simulator's intervals.
 
     Returns:
         For each output, level ("0.5", ...) -> fraction of rows within the central interval of that
@@ -48,15 +48,15 @@ def central_ranks(
     draws: int = DRAWS,
     starts: NDArray | None = None,
 ) -> NDArray | None:
-    """Return :func:`central` of what followed commands, by samples that a simulator draws.
+    """Return :func:`central` of the results of commands, by samples from a simulator.
 
     Args:
         inputs: [N, I], in the simulator's units and order, in the order of time.
         actual: [N, 3] dx, dy (m), dtheta (rad).
         seed: of the draws.
-        draws: samples drawn of each command.
-        starts: where the robot was when the commands began, [N, 3] m, m, rad; None: it is taken
-            to be on an even floor.
+        draws: number of samples of each command.
+        starts: poses of the robot at the commands' beginnings, [N, 3] m, m, rad; None: an even
+            floor is assumed.
 
     Returns:
         [N, 3] in 0..1; None if the simulator has no noise model.
@@ -77,9 +77,9 @@ def draw_displacements(
     generator: torch.Generator,
     starts: Tensor | None = None,
 ) -> Tensor:
-    """Return displacements [D, N, 3] drawn for scaled inputs [N, I], each with member and noise.
+    """Return random displacements [D, N, 3] for scaled inputs [N, I], each with member and noise.
 
-    ``starts`` [N, 3] say where on the floor, as in :func:`central_ranks`.
+    ``starts`` [N, 3] are poses on the floor, as in :func:`central_ranks`.
     """
     samples = torch.empty(draws, len(x), 3, dtype=torch.float64)
     members = torch.arange(draws) % simulator.members
@@ -97,18 +97,18 @@ def draw_displacements(
 
 
 def central(samples: NDArray, actual: NDArray) -> NDArray:
-    """Return the probability of the smallest central interval that holds what happened.
+    """Return the probability of the smallest central interval with the actual value.
 
-    Intervals are central in probability: as much lies below as above.
+    Intervals are central in probability: equal parts are below and above.
 
     Args:
-        samples: (D, N, K) samples of each of N things.
+        samples: (D, N, K) samples of each of N results.
         actual: (N, K).
 
     Returns:
         (N, K) in 0..1; at most p for a fraction p of them if the intervals are right.
     """
-    # Half a draw to either side: an outcome beyond all of the draws is not quite impossible.
+    # Half a draw to either side: a result beyond all draws is not quite impossible.
     below = ((samples < actual).sum(0) + 0.5 * (samples == actual).sum(0) + 0.5) / (
         len(samples) + 1
     )
@@ -116,10 +116,10 @@ def central(samples: NDArray, actual: NDArray) -> NDArray:
 
 
 def region(samples: NDArray, actual: NDArray) -> NDArray:
-    """Return the probability of the smallest region that holds where a robot came to.
+    """Return the probability of the smallest region with a robot's actual position.
 
     Regions are ellipses about the mean of the samples, in the shape of their covariance
-    (Mahalanobis distance), as large as holds the fraction of the samples.
+    (Mahalanobis distance), of the size that contains the fraction of the samples.
 
     Args:
         samples: (D, N, 2) points of each of N robots.

@@ -1,4 +1,4 @@
-"""How large an error is to be expected of a row: a product of powers of its inputs.
+"""The expected size of a row's error: a product of powers of its inputs.
 
 The logarithm of the errors is regressed on those of the inputs' magnitudes (Harvey, Estimating
 regression models with multiplicative heteroscedasticity, Econometrica 44, 1976).
@@ -9,8 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-#: Inputs count as at least this large, and errors of a column as larger by this fraction of their
-#: mean: zero has no logarithm.
+#: Smallest magnitude of an input, and fraction of a column's mean that is added to errors, because
+#: zero has no logarithm.
 _LEAST_INPUT, _LEAST_ERROR = 0.05, 0.1
 
 
@@ -36,13 +36,13 @@ def size_weights(features: Tensor, errors: Tensor, ridge: float) -> Tensor:
 
 
 def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
-    """Return weights of rows whose errors differ in size, for a fit that they spoil less.
+    """Return weights of rows whose errors differ in size, for a more robust fit.
 
     The size of an error is what :mod:`neurosim.training.error_size` expects. The weight is the
-    reciprocal of its square root, half way between rows that weigh alike, which suits the
-    mean squared error, and the full correction, which trusts the smallest errors most. Rows whose
-    errors are large even so weigh as Huber's estimator has it (Huber 1964), corner at 1.35
-    standard deviations.
+    reciprocal of its square root, half way between equal weights, which suit the mean squared
+    error, and the full correction, which trusts the smallest errors most. Rows whose errors are
+    still large have the weights of Huber's estimator (Huber 1964), with the corner at 1.35 standard
+    deviations.
 
     Args:
         x: scaled inputs, [N, I].

@@ -1,4 +1,4 @@
-"""How well a simulator predicts: Table 2 of Pretorius et al. 2009, for us."""
+"""The errors of a simulator, as in Table 2 of Pretorius et al. 2009."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from neurosim.training.trainers.windows import LENGTHS, windows_of
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
 
-#: Table 2 of the paper: final MSE (cm^2, deg^2) and average absolute error (cm, deg), by the
-#: names that its outputs have here (its change in y is our dx, its change in x our -dy).
+#: Table 2 of the paper: final MSE (cm^2, deg^2) and average absolute error (cm, deg), by the names
+#: of the outputs here (its change in y is dx here, its change in x is -dy).
 PAPER = {
     "dx": {"mse": 12.909, "mean_absolute_error": 2.143},
     "dy": {"mse": 18.559, "mean_absolute_error": 2.782},
     "dtheta": {"mse": 26.412, "mean_absolute_error": 3.585},
 }
 
-#: Where rows follow one another, errors are those in windows of this length, s.
+#: Length of the windows for errors if rows follow one another, s.
 WINDOW = 1.0
-#: After so long, s, a robot has the speeds that a command leads to.
+#: Time after which a robot has a command's final speeds, s.
 _CALM = 5.0
 
-#: From metres and radians to what people read, centimetres and degrees; and their names.
+#: Factors from metres and radians to centimetres and degrees, and the units' names.
 READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
 UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
 
@@ -39,20 +39,20 @@ UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
 def evaluate(
     simulator: str | Path, dataset: str | Path, held_out_only: bool = True
 ) -> dict[str, Any]:
-    """Compare what a simulator predicts with what happened.
+    """Compare a simulator's predictions with the actual displacements.
 
     Args:
         simulator: a simulator folder.
         dataset: a dataset folder.
-        held_out_only: of the dataset that the simulator was trained on, use only the rows that
-            training has not seen; of any other dataset all rows are used.
+        held_out_only: from the training dataset, use only the held-out rows; from any other dataset
+            all rows are used.
 
     Returns:
-        ``rows`` used, ``which`` of them in words, ``held_out`` (bool), ``errors`` by output
+        number of ``rows``, ``which`` rows in words, ``held_out`` (bool), ``errors`` by output
         (``mse``, ``mean_absolute_error``, ``unit``) of the simulator, the same of ``paper`` and
-        of the ideal unicycle (``baseline``: description and errors; None where the inputs are
-        not a unicycle's); ``coverage`` of its intervals, as
-        :func:`neurosim.training.coverage.coverage`, None where it has no noise model.
+        of the ideal unicycle (``baseline``: description and errors; None if the inputs are not a
+        unicycle's); ``coverage`` of its intervals, as :func:`neurosim.training.coverage.coverage`,
+        None without a noise model.
 
     Raises:
         FileError: if a file is missing or wrong.
@@ -96,7 +96,7 @@ def evaluate(
 
 
 def _held_out_fraction(network: MotionNetwork, dataset: str | Path) -> float | None:
-    """Return the fraction of a dataset's rows held out when the simulator was trained on it."""
+    """Return the fraction of a dataset's rows that the simulator's training held out."""
     source, training = network.meta.get("source"), network.meta.get("training")
     if not isinstance(source, dict) or not isinstance(training, dict):
         return None
@@ -106,9 +106,9 @@ def _held_out_fraction(network: MotionNetwork, dataset: str | Path) -> float | N
 
 
 def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
-    """Return the displacements (N, 3) that a simulator predicts for a dataset's rows.
+    """Return a simulator's predicted displacements (N, 3) for a dataset's rows.
 
-    Where rows follow one another, it is driven through them, with the speeds that it has reached.
+    If rows follow one another, it drives through them, with the speeds reached.
     """
     if rows.joined is not None and network.drive is not None:
         return _driven(network, rows, rows.joined)
@@ -121,14 +121,14 @@ def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
 
 
 def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) -> NDArray:
-    """Return the displacements (N, 3) in rows that follow one another, all drives side by side."""
+    """Return the displacements (N, 3) in rows that follow one another, all drives in parallel."""
     inputs = rows.input_array()
     names = list(rows.inputs)
     own = [names.index(name) for name in network.command_names]
     before = [names.index(f"prev_{n}" if n != "duration" else n) for n in network.command_names]
     starts = np.flatnonzero(~joined)
     lasts = np.diff(np.append(starts, len(inputs)))
-    # Each drive begins with the speeds that the command before it leads to.
+    # Each drive begins with the final speeds of the previous command.
     calm = inputs[starts][:, before]
     calm[:, network.command_names.index("duration")] = step = min(network.longest, _CALM)
     state = network.start(torch.zeros(len(starts), 3, dtype=torch.float64), member=-1)
@@ -139,7 +139,7 @@ def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) ->
         going = np.flatnonzero(lasts > number)
         place = starts[going] + number
         was = state[going]
-        if where is not None:  # what the floor does there
+        if where is not None:  # with the floor's effect there
             was[:, :3] = torch.from_numpy(where[place])
         state[going] = network.step(was, torch.from_numpy(inputs[place][:, own]))
         moved[place] = se2.between(was[:, :3].numpy(), state[going, :3].numpy())
@@ -149,12 +149,12 @@ def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) ->
 def windows_of_rows(
     rows: Dataset, joined: NDArray[np.bool_], displacement: NDArray
 ) -> dict[float, NDArray]:
-    """Return the displacements in windows of rows that follow one another, by their length, s.
+    """Return the displacements in windows of a length (s) of rows that follow one another.
 
     Args:
-        rows: with their durations.
-        joined: whether a row begins where that before it ended, (N,).
-        displacement: of the rows, (N, 3).
+        rows: the rows, with their durations.
+        joined: whether a row begins at the end of the previous one, (N,).
+        displacement: displacements of the rows, (N, 3).
     """
     duration = torch.tensor(rows.table["duration"].to_numpy(np.float64, copy=True))
     windows = windows_of(duration, torch.from_numpy(joined))
@@ -167,14 +167,14 @@ def windows_of_rows(
 
 
 def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str, Any]]:
-    """Return a simulator's errors on a dataset's rows, as :func:`errors`.
+    """Return a simulator's errors on a dataset's rows, in the form of :func:`errors`.
 
-    Where rows follow one another, they are those in windows of :data:`WINDOW`.
+    If rows follow one another, they are errors in windows of :data:`WINDOW`.
     """
     predicted, actual, joined = predict(network, rows), rows.output_array(), rows.joined
     if joined is not None:
         both = [windows_of_rows(rows, joined, moved) for moved in (predicted, actual)]
-        # The longest windows that there are, up to that length.
+        # The longest existing windows, up to that length.
         known = [length for length, moved in both[0].items() if len(moved) and length <= WINDOW]
         if known:
             predicted, actual = (moved[known[-1]] for moved in both)
@@ -184,7 +184,7 @@ def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str
 def errors(predicted: NDArray, actual: NDArray) -> dict[str, dict[str, Any]]:
     """Return MSE (equation 1) and mean absolute error of displacements (N, 3), by output.
 
-    In cm and deg, as the paper has them; the key ``unit`` says which.
+    They are in cm and deg, as in the paper; the key ``unit`` names the unit.
     """
     table = {}
     for place, (name, factor) in enumerate(READABLE.items()):

@@ -1,11 +1,11 @@
-"""Choosing the commands to record next: those that an ensemble disagrees about most.
+"""The choice of the next commands to record: those with the largest disagreement in an ensemble.
 
 Query by committee (Seung, Opper and Sompolinsky, Query by committee, COLT 1992): the members of an
-ensemble that learned from the rows so far disagree about commands that these rows say little about.
-The information of a command is the part of that disagreement that it would remove, which is less if
-its result is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models, JAIR 4,
-1996). The best of a few random commands is taken, not the best of all: so what is chosen stays
-spread out, and what the committee agrees on by mistake is met now and then.
+ensemble that learned from the rows so far disagree about commands that are unlike these rows. The
+information of a command is the part of that disagreement that it would remove, which is less if its
+result is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models, JAIR 4,
+1996). The best of a few random commands is taken, not the best of all: so the choice stays spread
+out, and also tests predictions on which all members agree by mistake.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS, inputs_of
 from tracking.datasets.displacements import displacements
 from tracking.datasets.recordings import Recording
 
-#: The least size of an expected error, as a quantile of those expected of the rows.
+#: Smallest expected size of an error, as a quantile of the rows' expected sizes.
 _QUIETEST = 0.02
 
-#: How far inside the board's edge a chosen command is to end, m: the perimeter line lies about
-#: half as far in, and the light sensors ahead of the axle.
+#: Distance from the board's edge inside which a chosen command must end, m: the perimeter line is
+#: about half as far inside, and the light sensors are ahead of the axle.
 MARGIN = 0.25
 
-#: Parts of a command after which its predicted path is looked at.
+#: Fractions of a command at which its predicted path is checked.
 _PARTS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
 class GuidedSettings:
-    """How commands are chosen.
+    """Settings of the choice of commands.
 
     Attributes:
-        members: of the ensemble that votes.
-        candidates: random commands of which the best is taken.
+        members: number of members of the voting ensemble.
+        candidates: number of random commands of which the best is taken.
     """
 
     members: int = 16
@@ -80,30 +80,30 @@ class Committee:
         return self._ensemble.displacement(x.repeat(members, 1), each).view(members, rows, 3)
 
     def worth(self, x: Tensor, displacements: Tensor) -> Tensor:
-        """Return how much of the disagreement the outcomes of inputs [N, I] would take away, [N].
+        """Return how much of the disagreement the results of inputs [N, I] would remove, [N].
 
         The three outputs count in units of their usual noise.
 
         Args:
             x: inputs [N, I].
-            displacements: what every member says of them, [M, N, 3].
+            displacements: every member's predictions for them, [M, N, 3].
         """
         variance = displacements.var(0)
         return (taken_away(variance, self._noise(x).square()) / self._usual).sum(1)
 
 
 def taken_away(variance: Tensor, noise: Tensor) -> Tensor:
-    """Return by how much an outcome with some noise lessens the variance of what is believed.
+    """Return the reduction of a belief's variance by a noisy result.
 
     Args:
-        variance: of what is believed of the outcome's mean.
-        noise: variance of the outcome about its mean.
+        variance: variance of the belief about the result's mean.
+        noise: variance of the result about its mean.
     """
     return variance.square() / (variance + noise)
 
 
 class _ErrorSize:
-    """How large an error is expected of a command; see :mod:`neurosim.training.error_size`."""
+    """The expected size of a command's error; see :mod:`neurosim.training.error_size`."""
 
     def __init__(self, simulator: MotionNetwork, x: Tensor, errors: Tensor):
         self._simulator = simulator
@@ -125,11 +125,11 @@ class _ErrorSize:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the robot is, and where it may go.
+    """The robot's pose, and the area in which it must stay.
 
     Attributes:
         pose: x, y (m), heading (rad), on the board.
-        length, width: of the rectangle about the board's middle that it is to stay in, m.
+        length, width: of the rectangle about the board's middle in which it must stay, m.
     """
 
     pose: tuple[float, float, float]
@@ -144,18 +144,18 @@ def choose(
     place: Place | None = None,
     settings: GuidedSettings | None = None,
 ) -> list[Command]:
-    """Choose commands to be given in a row, to a robot that stands.
+    """Choose a sequence of commands for a robot that stands.
 
-    Each is the one of the source's next few that is worth most after the command before it.
-    Where the robot's place is known, those that are predicted to lead out of the rectangle are
-    taken only if all do; then the one that ends nearest to the middle.
+    Each is the one of the source's next few commands that has the most information after the
+    previous one. If the robot's pose is known, commands whose predicted path leaves the rectangle
+    are taken only if all do; then the one that ends nearest to the middle.
 
     Args:
-        committee: what votes.
+        committee: the voting ensemble.
         source: of candidates: command ``n`` is one of the source's ``candidates`` from number
             ``candidates * n``.
-        numbers: of the commands to be chosen.
-        place: where the robot is.
+        numbers: numbers of the chosen commands.
+        place: pose and area of the robot.
         settings: of the choice.
     """
     settings = settings or GuidedSettings()
@@ -187,13 +187,13 @@ def choose(
 
 
 def _inside(path: NDArray, place: Place) -> NDArray:
-    # Where the arc of a whole turn is not known, nobody says that it is inside.
+    # The arc of a whole turn is unknown, so it may leave the rectangle.
     half = np.array([place.length, place.width]) / 2
     return (np.abs(path[..., :2]) <= half).all((0, 2))
 
 
 def motor_data(x: NDArray, y: NDArray, units: Mapping[str, str] = MOTOR_INPUTS) -> TrainingData:
-    """Return rows (N, I) and (N, 3) as a trainer takes them; by default of a robot on wheels.
+    """Return rows (N, I) and (N, 3) as a trainer's data; by default of a robot on wheels.
 
     Args:
         x, y: inputs and displacements.
@@ -206,16 +206,16 @@ def motor_data(x: NDArray, y: NDArray, units: Mapping[str, str] = MOTOR_INPUTS) 
 def choose_round(
     made: Sequence[Recording], source: RandomCommands, numbers: range, pose: Pose
 ) -> tuple[list[Command], dict[str, Any]]:
-    """Choose the commands of a round of a guided recording by what was recorded before.
+    """Choose the commands of a round of a guided recording from the earlier rounds.
 
     Args:
         made: the rounds so far, tracked.
-        source: of candidates; its seed is that of all that is drawn here, too.
+        source: of candidates; its seed is also that of all random numbers here.
         numbers: of the commands to choose.
-        pose: where the robot stands.
+        pose: pose of the robot.
 
     Returns:
-        The commands, and what the recording says of how they were chosen.
+        The commands, and the description of the choice for the recording.
 
     Raises:
         UserError: if too few commands were tracked so far.
@@ -226,7 +226,7 @@ def choose_round(
     committee = Committee(motor_data(x, y, units), source.seed, settings)
     board = made[-1].meta["board"]
     place = Place(pose, board["length"] - 2 * MARGIN, board["width"] - 2 * MARGIN)
-    # Little at a time: a second thread would only wait.
+    # Small computations: a second thread would only wait.
     with one_thread():
         chosen = choose(committee, source, numbers, place, settings)
     return chosen, {
@@ -241,7 +241,7 @@ def choose_round(
 
 
 def _rows(made: Sequence[Recording], units: Mapping[str, str]) -> tuple[NDArray, NDArray]:
-    """Return inputs [N, I] and displacements [N, 3] of what was recorded so far."""
+    """Return inputs [N, I] and displacements [N, 3] of the rounds so far."""
     rows = [row for recording in made for row in displacements(recording).rows]
     if len(rows) < MIN_ROWS:
         raise UserError(

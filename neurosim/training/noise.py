@@ -1,8 +1,8 @@
-"""Learning a noise model from what was predicted of rows that had not been seen.
+"""Learning a noise model from predictions for unseen rows.
 
-Scales, tails and sources are fitted together by maximum likelihood, with a weak pull to zero
-for what few rows say little about. The noise of the poses at both ends of a command, as the camera
-saw them, is part of what is learned: it is what is left of the noise where a robot stands still.
+Scales, tails and sources are fitted together by maximum likelihood, with a weak pull to zero for
+coefficients that the rows hardly determine. The learned noise includes the camera's noise of the
+poses at both ends of a command, which remains while a robot stands.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from neurosim.training.base import root_mean_square
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
 
-#: Residuals are not distinguished below this, m and rad.
+#: Smallest difference of residuals, m and rad.
 FINEST = 1e-6
 
-#: Sources where the search begins, as fractions of the residuals' root mean squares: one of turn
-#: and one forward, of a turn and a distance ahead alike, and one of a curve to the side.
+#: First sources of the search, as fractions of the residuals' root mean squares: one of turn and
+#: one forward, for turns and distances ahead, and one of a curve to the side.
 BEGIN = (
     ((0.2, 0.1, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (0.0, 0.0, 0.0)),
     ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)),
 )
 
-#: Places and weights of Gauss-Hermite quadrature over a standard normal number.
+#: Nodes and weights of Gauss-Hermite quadrature over a standard normal number.
 _PLACES, _WEIGHTS = (torch.from_numpy(part) for part in hermegauss(11))
 
-#: Of ln tau where nothing is known: slight tails.
+#: Default ln tau: slight tails.
 SLIGHT = -0.7
 
 
@@ -54,14 +54,14 @@ def fit_noise(
     actual: Tensor,
     weight: Tensor | None = None,
 ) -> NoiseModel:
-    """Learn the noise that made displacements of those that were predicted.
+    """Learn the noise between predicted and actual displacements.
 
     Args:
         columns: of the inputs.
         inputs: scaled inputs of rows, [N, I].
-        mean: displacements that were predicted by what had not seen a row, [N, 3].
-        actual: displacements that followed, [N, 3].
-        weight: how much each row counts, [N]; alike if not given.
+        mean: displacements predicted by models that had not seen the row, [N, 3].
+        actual: actual displacements, [N, 3].
+        weight: weights of the rows, [N]; equal by default.
     """
     weight = torch.ones_like(mean[:, 0]) if weight is None else weight
     unit = root_mean_square(components(mean))
@@ -91,7 +91,7 @@ def fit_noise(
                 (part * one for part, one in zip(row[:-1], z, strict=True)), torch.zeros(())
             )
             z.append((error[:, k : k + 1] - explained) / row[-1])
-            # As if each had been read to the finest step only: no residual is likelier than that.
+            # The resolution limits the likelihood of a residual.
             power = power + z[-1].square() + (FINEST / size[k] / row[-1]).square()
             log_size = log_size + row[-1].log()
         likelihood = (log_weights - power / 2.0 - log_size).logsumexp(-1)

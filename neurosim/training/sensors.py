@@ -1,17 +1,17 @@
-"""Sensors learned from readings: where each is mounted, and what it reads where on the board.
+"""Sensors learned from readings: each sensor's position on the robot, and its map of the board.
 
-A reading is taken to follow from the place of the board that the sensor is over. Of each sensor
-are found its mounting on the robot, how long after the look began it is read, and a map of the
-board. The map m is the smooth one nearest to the readings y, W being linear interpolation between
+A reading is assumed to depend on the sensor's position on the board. For each sensor the training
+finds its mounting on the robot, the delay of its reading after the scan began, and a map of the
+board. The map m is the smooth one nearest to the readings y, with linear interpolation W between
 its points,
 
 .. math:: \\min_m |y - W m|^2 + \\lambda |(\\kappa^2 + L) m|^2
 
 which is a Gaussian random field of Matern covariance (Lindgren, Rue, Lindstrom 2011, J. R. Stat.
 Soc. B 73): L is the Laplacian of the grid, kappa its cell over a length. Mounting, time and lambda
-are those of the least error in cross-validation: readings of whole spans of time are left out in
-turn. Sensors fraction a map where that predicts the readings left out better than a map for each.
-A sensor whose readings do not follow from the place gets a map that is flat, and wide noise.
+have the least error in cross-validation, which leaves out readings of whole spans of time in turn.
+Sensors share a map if that predicts the left-out readings better than a map for each. A sensor
+whose readings do not depend on its position gets a flat map and large noise.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from neurosim.networks.control import NOT_READINGS
 from neurosim.simulators.motion.sensors import Sensors
 from tracking.datasets.readings import PLACE, sensors_of
 
-#: Distance between a map's points, and where the mounting is searched on a coarser one, m.
+#: Distance between a map's points, and that of the coarser map for the search of the mounting, m.
 CELL, COARSE = 0.01, 0.02
-#: Length over which the map forgets, m; the value of a place far from all readings is their median.
+#: Correlation length of the map, m; far from all readings its value is their median.
 LENGTH = 0.05
-#: How smooth maps may be; cross-validation chooses.
+#: Candidates for the smoothness of maps; cross-validation chooses.
 SMOOTHNESS = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)
-#: Sensors are searched within this distance of the middle of the axle, on a grid of such steps, m.
+#: Range of the search for a sensor around the middle of the axle, and its step, m.
 REACH, STEP = 0.16, 0.02
-#: They are read at most so long after the look began, s.
+#: Largest delay of a sensor's reading after the scan began, s.
 LATEST = 0.25
-#: Readings of so many seconds are left out together, in so many parts.
+#: Seconds of readings that are left out together, and number of parts.
 SPAN, PARTS = 8.0, 4
-#: No map has more points, and no sensor can be learned from fewer readings.
+#: Largest number of a map's points, and smallest number of readings for a sensor.
 MOST_POINTS, FEWEST = 4_000_000, 50
-#: The search of the mounting ends at such steps: m, m, s.
+#: Steps at which the search of the mounting ends: m, m, s.
 _FINEST = np.array([0.0005, 0.0005, 0.004])
-#: While the mounting is searched: the smoothness, and how many parts are left out, how exactly.
+#: During the search of the mounting: smoothness, number of left-out parts, and accuracy.
 _SEARCHED, _ROUGH = 0.1, (2, 1e-7)
 _BY_CHANCE = 1.4826  # standard deviation over median absolute deviation, of normal numbers
 
@@ -58,8 +58,8 @@ class _Rows:
     """Readings of some sensors.
 
     Attributes:
-        place: [N, 6] as :data:`tracking.datasets.readings.PLACE`.
-        part: [N] to which part of the cross-validation each belongs.
+        place: [N, 6] in the columns of :data:`tracking.datasets.readings.PLACE`.
+        part: [N] part of each in the cross-validation.
         values: [N, S].
     """
 
@@ -68,7 +68,7 @@ class _Rows:
     values: NDArray[np.float64]
 
     def looked_at(self, mount: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the places [N, 2] that a sensor looks at: ahead, aside (m), after (s)."""
+        """Return a sensor's positions [N, 2] from its mounting: ahead, aside (m), after (s)."""
         pose = self.place[:, :3] + mount[2] * self.place[:, 3:]
         cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         x = pose[:, 0] + cos * mount[0] - sin * mount[1]
@@ -99,7 +99,7 @@ class _Grid:
         return cls(low, cell, (ny, nx))
 
     def weights(self, places: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the points [N, 4] around places [N, 2], and their weights [N, 4]."""
+        """Return the map's points [N, 4] around positions [N, 2], and their weights [N, 4]."""
         ny, nx = self.shape
         across, up = ((places - self.origin) / self.cell).T
         across, up = across.clip(0, nx - 1), up.clip(0, ny - 1)
@@ -111,13 +111,13 @@ class _Grid:
 
 
 class _Maps:
-    """Maps of readings, and how well they predict readings that were left out.
+    """Maps of readings, and their errors on left-out readings.
 
     Args:
         rows: the readings.
         cell: distance between the maps' points, m.
-        parts: how many of the :data:`PARTS` are left out in turn.
-        exact: how exactly the maps are found; a map that was found before is begun from.
+        parts: number of the :data:`PARTS` that are left out in turn.
+        exact: accuracy of the maps; a computation begins with the previous map.
     """
 
     def __init__(self, rows: _Rows, cell: float, parts: int = PARTS, exact: float = 1e-8):
@@ -135,9 +135,9 @@ class _Maps:
         kept: NDArray,
         part: int = -1,
     ) -> NDArray[np.float64]:
-        """Return the map [NY, NX] of a group of sensors, of the rows that are kept [N].
+        """Return the map [NY, NX] of a group of sensors from the kept rows [N].
 
-        ``part`` is the one that is left out, -1 for none.
+        ``part`` is the left-out part, -1 for none.
         """
         base = self._base(group)
         parts = [self.grid.weights(self.rows.looked_at(mounts[s])[kept]) for s in group]
@@ -154,7 +154,7 @@ class _Maps:
         return float(np.mean(self.base[list(group)]))
 
     def left_out(self, mounts: NDArray, smooth: float, group: Sequence[int]) -> NDArray[np.float64]:
-        """Return how far a group's readings [N, G] are from maps of the other parts' readings."""
+        """Return the errors of a group's readings [N, G] against maps of the other parts."""
         off = np.zeros((len(self.rows.part), len(group)))
         for part in range(self._parts):
             tested = self.rows.part == part
@@ -168,7 +168,7 @@ class _Maps:
         return off
 
     def error(self, mounts: NDArray, smooth: float, group: Sequence[int]) -> float:
-        """Return the sum of squares of a group's readings that were left out."""
+        """Return the sum of squared errors of a group's left-out readings."""
         return float((self.left_out(mounts, smooth, group) ** 2).sum())
 
 
@@ -177,21 +177,22 @@ def learn_sensors(
 ) -> tuple[Sensors, dict[str, Any]]:
     """Learn sensors from the readings of a dataset.
 
-    Mounting, smoothness and noise are found on the earlier readings, and tried on the last ones;
-    the maps are then of all: what was not driven over is not known.
+    Mounting, smoothness and noise are learned from the earlier readings, and tested on the last
+    ones. Then the maps are computed from all readings, because they know only where the robot
+    drove.
 
     Args:
         readings: the table of :mod:`tracking.datasets.readings`.
-        held_out: the fraction of the readings, last in time, on which the result is tried.
+        held_out: the fraction of the readings, last in time, for the test.
         progress: show progress on stderr.
 
     Returns:
-        The sensors, and what simulator.json says of them: for each its mounting (m), when it is
-        read (s), its noise, and the root mean square of its readings' errors, relative to their
-        standard deviation.
+        The sensors, and their description for simulator.json: the mounting (m), the delay (s), the
+        noise, and the root mean square of the readings' errors, relative to their standard
+        deviation.
 
     Raises:
-        UserError: if there are too few readings, or one's name is that of something else.
+        UserError: if there are too few readings, or a sensor has the name of another input.
     """
     names = sensors_of(readings)
     for name in names:
@@ -254,7 +255,7 @@ def learn_sensors(
 def _rows_of(readings: pd.DataFrame) -> _Rows:
     time = readings["time"].to_numpy(np.float64)
     whose = readings["recording"].to_numpy()
-    # A span of time is a part of its own where the clock starts anew.
+    # If the clock starts again, a new span of time begins.
     begins = np.concatenate([[True], (np.diff(time) < 0) | (whose[1:] != whose[:-1])])
     run = np.cumsum(begins) - 1
     part = (time // SPAN).astype(np.int64) + run
@@ -266,14 +267,14 @@ def _rows_of(readings: pd.DataFrame) -> _Rows:
 
 
 def _mounting(rows: _Rows, sensor: int) -> NDArray[np.float64]:
-    """Return about where a sensor is mounted and when it is read, [3] m, m, s."""
+    """Return the approximate mounting and delay of a sensor, [3] m, m, s."""
     rows = replace(rows, values=rows.values[:, [sensor]])
     coarse = _Maps(rows, COARSE, *_ROUGH)
     offsets = np.arange(-REACH, REACH + STEP / 2, STEP)
     tries = [
         (ahead, aside) for ahead in offsets for aside in offsets if np.hypot(ahead, aside) <= REACH
     ]
-    # Readings that do not differ say nothing of where they are from.
+    # Equal readings do not depend on the position.
     if rows.values.std() < 1e-6:
         return np.zeros(3)
     best = min(
@@ -289,9 +290,9 @@ def _refine(
     group: Sequence[int],
     finest: NDArray[np.float64] = _FINEST,
 ) -> NDArray[np.float64]:
-    """Return mountings [S, 3] of a group at the least error near others: a pattern search.
+    """Return mountings [S, 3] of a group with the least error near given ones, by a pattern search.
 
-    A step that made the error less is gone on with; where none does, steps are halved.
+    A step that reduces the error is repeated; if none does, steps are halved.
     """
     best, least = mounts.copy(), maps.error(mounts, _SEARCHED, group)
     steps = np.array([STEP / 4, STEP / 4, 0.02])
@@ -314,7 +315,7 @@ def _refine(
 
 
 def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
-    """Return which sensors fraction a map: each joins those with whom it is predicted better."""
+    """Return the groups of sensors that share a map: each joins a group that predicts it better."""
     groups: list[list[int]] = []
     errors: list[float] = []
     for s in range(len(mounts)):
@@ -334,9 +335,9 @@ def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
 def _noise(
     maps: _Maps, mounts: NDArray, smooth: float, group: Sequence[int]
 ) -> NDArray[np.float64]:
-    """Return the standard deviations [G, 2] of a group's readings and of their places.
+    """Return the standard deviations [G, 2] of a group's readings and of their positions.
 
-    By medians: where readings were sparse the map is wrong, and that is no noise.
+    They use medians, because errors of the map at sparse readings are not noise.
     """
     off = np.abs(maps.left_out(mounts, smooth, group))
     noise = np.zeros((len(group), 2))
@@ -358,7 +359,7 @@ def _noise(
 def _tried(
     maps: _Maps, mounts: NDArray, smooth: float, group: Sequence[int], later: _Rows
 ) -> NDArray[np.float64]:
-    """Return the root mean square error [G] on later readings; 0 where there are none."""
+    """Return the root mean square error [G] on later readings; 0 if there are none."""
     field = maps.fit(mounts, smooth, group, np.ones(len(maps.rows.part), bool)).ravel()
     error = np.zeros(len(group))
     for place, s in enumerate(group):
@@ -415,7 +416,7 @@ def _normal(points, weights, kappa, smooth, m, inner, out):
 
 @njit(cache=True, fastmath={"contract", "nsz"})
 def _conjugate_gradients(points, weights, values, kappa, smooth, exact, x):
-    """Change the map x to the one of least squares (Hestenes and Stiefel 1952)."""
+    """Change the map x to the least-squares one (Hestenes and Stiefel 1952)."""
     residual = np.zeros_like(x)
     into = residual.ravel()
     for row in range(len(points)):

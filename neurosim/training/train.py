@@ -29,13 +29,13 @@ from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
-#: The fraction of rows, last in time, that is never seen by training.
+#: Fraction of rows, last in time, that training never uses.
 HELD_OUT = 0.2
 
-#: Fewer rows than this are not a recording of a robot.
+#: Smallest number of rows for training.
 MIN_ROWS = 20
 
-#: About as many generations stand in the history.
+#: Approximate number of generations in the history.
 _HISTORY = 200
 
 
@@ -63,10 +63,10 @@ def train(
         sensors: Learn the sensors whose readings the dataset has.
         progress: show progress on stderr.
         tensorboard: folder for curves of the errors (extra ``tensorboard``); None: there are none.
-        **settings: the trainer's own settings that are not to be its defaults.
+        **settings: the trainer's own settings that differ from its defaults.
 
     Raises:
-        UserError: if the dataset is too small, a setting cannot be, or ``out`` is taken.
+        UserError: if the dataset is too small, a setting is invalid, or ``out`` exists.
         FileError: if a file is missing or wrong.
 
     Example:
@@ -137,7 +137,7 @@ def train(
 
 
 def _advanced(learner: Trainer, progress: bool, scalars: Scalars) -> list[dict[str, Any]]:
-    """Work all generations; return the mean squared errors of about :data:`_HISTORY` of them."""
+    """Run all generations; return the mean squared errors of about :data:`_HISTORY` of them."""
     history, total = [], learner.generations
     stride = max(1, total // _HISTORY)
     with Progress("training", total, "steps") if progress else nullcontext() as shown:
@@ -177,12 +177,12 @@ def new_learner(
     """Return a trainer, ready for its first generation.
 
     Args:
-        data: rows to learn from.
-        seed, trainer, device: as :func:`train`.
+        data: the training rows.
+        seed, trainer, device: as in :func:`train`.
         settings: of the trainer, of its own class.
 
     Raises:
-        UserError: if a setting cannot be.
+        UserError: if a setting is invalid.
     """
     try:
         return trainer_class(trainer)(data, settings, seed, device)
@@ -193,7 +193,7 @@ def new_learner(
 def learn(
     data: TrainingData, seed: int, *, trainer: str = DEFAULT, **settings: Any
 ) -> MotionNetwork:
-    """Return a simulator learned from all these rows, with settings of the trainer."""
+    """Return a simulator learned from all rows of the data, with settings of the trainer."""
     learner = new_learner(data, seed, trainer, trainer_settings(trainer, settings))
     for _ in range(learner.generations):
         learner.advance()
@@ -201,12 +201,12 @@ def learn(
 
 
 def domain_of(simulator: MotionNetwork, data: TrainingData, settings: Any) -> Domain:
-    """Return the commands that a simulator has learned from.
+    """Return the domain of the commands from which a simulator has learned.
 
-    A drive model that has learned from poses within commands knows how each of them began.
+    A drive model that has learned from poses within commands knows the beginning of each.
 
     Args:
-        simulator: what was made of the data.
+        simulator: the simulator learned from the data.
         data: the rows.
         settings: of the trainer.
     """

@@ -1,7 +1,7 @@
-"""The ideal unicycle, the baseline that every learned simulator has to beat.
+"""The ideal unicycle, the baseline for every learned simulator.
 
-It drives at constant forward and angular velocity for the whole of a command, whatever it did
-before: no motor lag, no slip.
+It drives at constant forward and angular velocity for a whole command, independent of earlier
+commands: without motor lag or slip.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Unicycle:
         inputs: names of the columns of an input array.
         forward: metres per second for each unit of v, or of mean motor command.
         turning: radians per second for each unit of w, or of right minus left motor command.
-        description: where the two come from.
+        description: origin of the two factors.
     """
 
     inputs: tuple[str, ...]
@@ -32,7 +32,7 @@ class Unicycle:
     description: str
 
     def displacement(self, inputs: NDArray) -> NDArray:
-        """Return the displacements (N, 3) that follow from inputs (N, I)."""
+        """Return the displacements (N, 3) for inputs (N, I)."""
         speed, turn, duration = _drive(self.inputs, inputs)
         zero = np.zeros_like(speed)
         return se2.exp(
@@ -43,11 +43,11 @@ class Unicycle:
 
 
 def unicycle(rows: Dataset) -> Unicycle | None:
-    """Return the unicycle for a dataset, None if its inputs are not those of one.
+    """Return the unicycle for a dataset, None if its inputs do not fit one.
 
-    Where the inputs are velocities (v in m/s, w in rad/s) nothing is fitted. Where they are motor
-    commands, or velocities in other units, the two factors that take them to velocities are fitted
-    to ``rows`` by least squares.
+    If the inputs are velocities (v in m/s, w in rad/s), nothing is fitted. If they are motor
+    commands, or velocities in other units, the two factors that convert them to velocities are
+    fitted to ``rows`` by least squares.
     """
     names = rows.inputs
     units = {entry["name"]: entry.get("unit") for entry in rows.meta["inputs"]}

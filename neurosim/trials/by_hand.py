@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 
 class ByHand:
-    """A person sets the robot's parameters, starts it, and types the fitness; no robot is known.
+    """A person sets the robot's parameters, starts it, and types the fitness; there is no driver.
 
-    As in Zagal et al. 2004, section 5.2: the robot is put into the middle of a circle, started,
-    and stopped where it crosses it.
+    As in Zagal et al. 2004, section 5.2: the robot starts in the middle of a circle, and is stopped
+    where it crosses the circle.
 
     Attributes:
         instruction: the person's task before every trial.
@@ -29,11 +29,11 @@ class ByHand:
     def __init__(
         self, controller: Any, task: Any = None, type_in: Callable[[str], str] | None = None
     ):
-        """Take the controller whose parameters are shown.
+        """Prepare trials of a controller.
 
         Args:
-            controller: of the genes.
-            task: whose fitness is asked for.
+            controller: the controller, whose parameters are shown.
+            task: the task of the fitness.
             type_in: shows a message and returns the answer; by default on stderr and from stdin.
         """
         self._controller, self._type_in = controller, type_in or answer_to
@@ -41,7 +41,7 @@ class ByHand:
         self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
 
     def describe(self) -> dict[str, Any]:
-        """Describe it."""
+        """Describe the reality."""
         return {"kind": "by-hand", "virtual": False}
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:

@@ -1,4 +1,4 @@
-"""A saved controller as what a session asks for commands, and what a robot lacks for it."""
+"""A saved controller as a session's source of commands, and the parts that a robot lacks."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from tracking.camera.cameras import Camera
 
 
 def plan_of(saved: SavedController) -> list[Command]:
-    """Return the commands of an open-loop controller but for null ones; none of any other."""
+    """Return the commands of an open-loop controller without null ones; empty for other kinds."""
     if not saved.controller.open_loop:
         return []
     commands, active = saved.controller.commands(saved.genes[None], 0.0)
@@ -48,20 +48,20 @@ def plan_of(saved: SavedController) -> list[Command]:
 class Driver:
     """Drives a robot with a saved controller: a :class:`~neurosim.recording.commands.SeeingSource`.
 
-    An open-loop controller gives its commands in turn; a closed-loop one is asked at the episode's
-    steps, and meets the same goals in turn as in a simulator.
+    An open-loop controller gives its commands in turn; a closed-loop one gives a command at each
+    step of the episode, with the same goals in turn as in a simulator.
 
     Args:
         saved: the controller.
         episode: of the task.
-        about: what names the controller in the recording.
+        about: the controller's name for the recording.
         takes: the numbers of the robot's command.
 
     Attributes:
         sensors: names of the sensors that the controller reads.
         reads: whether the sensors are read, by the controller or for the task.
         needs_pose: whether the controller gets the pose, or the position of a goal relative to it.
-        steps, rest, start: as a session takes them.
+        steps, rest, start: see :class:`~neurosim.recording.commands.SeeingSource`.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class Driver:
         self._next = 0
 
     def react(self, seen: Observation) -> Command:
-        """Return the controller's command for what is seen.
+        """Return the controller's command for an observation.
 
         Raises:
-            UserError: if what it gives is no number; beyond the robot's limits it is cut off there.
+            UserError: if it is not a number; beyond the robot's limits it is cut.
         """
         if self._family.open_loop:
             command = self._plan[min(self._next, len(self._plan) - 1)]
@@ -139,12 +139,12 @@ def driver_of(
 
     Args:
         controller: its folder.
-        rig: the robot, and what films it.
-        calibration: the camera's, where the robot is tracked while it drives.
-        steps: how many commands; by default those of its task.
+        rig: the robot, and its camera.
+        calibration: the camera's, if the robot is tracked while it drives.
+        steps: number of commands; by default that of its task.
 
     Raises:
-        UserError: if it is a plan, or the robot lacks what it needs.
+        UserError: if it is a plan, or the robot lacks its inputs.
     """
     saved = read_controller(controller)
     if saved.controller.open_loop:
@@ -162,7 +162,7 @@ def driver_of(
 
 
 def source_of(folder: Path) -> dict[str, str]:
-    """Return the source of a controller: where it is, and what its files hold."""
+    """Return the source of a controller: its path and a checksum of its files."""
     source = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
     weights = folder / "weights.safetensors"
     return {**source, "weights_sha256": sha256(weights)} if weights.exists() else source
@@ -175,19 +175,20 @@ class Replanned:
 
     Args:
         saved: a plan.
-        task: that is to be done.
-        simulator: in which it is replanned.
+        task: the task.
+        simulator: the simulator for replanning.
         settings: how.
-        clock: the robot's.
-        about: what names the controller in the recording.
+        clock: the robot's clock.
+        about: the controller's name for the recording.
         seed: of the searches.
 
     Attributes:
-        replanner: what plans.
-        steps, rest, start, sensors, reads, needs_pose: as a session takes them.
+        replanner: the replanner.
+        steps, rest, start, sensors, reads, needs_pose: see
+            :class:`~neurosim.recording.commands.SeeingSource`.
 
     Raises:
-        UserError: if the controller is no plan, or the simulator does not take its commands.
+        UserError: if the controller is not a plan, or the simulator does not take its commands.
     """
 
     sensors: tuple[str, ...] = ()
@@ -219,14 +220,14 @@ class Replanned:
         self.replanner.begin()
 
     def react(self, seen: Observation) -> Command | None:
-        """Return the first command of what is planned now; None: there is nothing more to do."""
+        """Return the first command of the new plan; None: the task is done."""
         pose, ahead = (seen.pose, 0.0) if seen.sight is None else seen.sight
         assert pose is not None
         command = self.replanner.next(pose, ahead)
         return None if command is None else Command.of(command)
 
     def describe(self) -> dict[str, Any]:
-        """Return how it is replanned, and the origin of the plan."""
+        """Return the settings of replanning, and the origin of the plan."""
         return {"kind": "replanned", "controller": self._about, **asdict(self.settings)}
 
 
@@ -239,15 +240,15 @@ def missing(
     calibration: str | Path | None = None,
     source: SeeingSource | None = None,
 ) -> list[str]:
-    """Return the missing parts of a trial, a sentence for each; none: it can be made.
+    """Return the missing parts of a trial, a sentence for each; empty: it can be made.
 
     Args:
         saved: the controller.
         robot: connected or not.
-        camera: what films it, or None.
-        task: that the trial is judged by.
+        camera: its camera, or None.
+        task: the task that judges the trial.
         calibration: the camera's.
-        source: what drives the robot with the controller; by default a :class:`Driver`.
+        source: the source of commands; by default a :class:`Driver`.
     """
     takes = robot.commands
     driver = source or Driver(saved, task.episode, {}, takes)

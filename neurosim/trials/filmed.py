@@ -36,14 +36,14 @@ SIZE = (320, 240)
 
 
 class Driven:
-    """Drives controllers of any kind, and says where the robot was.
+    """Drives controllers of any kind, and gives the robot's poses.
 
-    Every trial is a session of its own. Where the robot did not stand exactly at the start, its
-    poses are given as if it had. A robot without a camera is known by its counters.
+    Every trial is a separate session. Poses are corrected for the error of the start. Without a
+    camera, poses come from the counters.
 
     Attributes:
         controller: the family.
-        task: judges the trials, and says where they start.
+        task: judges the trials, and has their start.
         instruction: a person's task before each trial, or None.
     """
 
@@ -61,13 +61,13 @@ class Driven:
 
         Args:
             controller: the family.
-            task: that is to be done.
-            robot: connected; None: there is another in every trial.
-            camera: what films it, or None.
+            task: the task.
+            robot: connected; None: each trial has another one.
+            camera: its camera, or None.
             calibration: the camera's.
 
         Raises:
-            UserError: if the robot lacks what the controller or the task needs.
+            UserError: if the robot lacks inputs of the controller or the task.
         """
         self.controller, self.task = controller, task
         self._robot, self._camera, self._calibration = robot, camera, calibration
@@ -85,12 +85,12 @@ class Driven:
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return which robot it is."""
+        """Return the description of the robot."""
         assert self._robot is not None
         return about_robot(self._robot)
 
     def stop(self) -> None:
-        """Stop the robot: a trial is given up."""
+        """Stop the robot, because a trial is given up."""
         if self._robot is not None:
             self._robot.stop()
 
@@ -102,8 +102,8 @@ class Driven:
             number: of the trial.
 
         Returns:
-            Its fitness, and where it was after each of its commands and at rest; NaN for null
-            commands, and for what came after the robot was stopped.
+            Its fitness, and the poses after each of its commands and at rest; NaN for null
+            commands, and after a stop of the robot.
 
         Raises:
             UserError: if the robot was not seen at its start.
@@ -141,7 +141,7 @@ class Driven:
         return Tracked(float(actual["fitness"]), se2.compose(start, se2.between(seen[0], poses)))
 
     def _saved(self, genes: NDArray[np.float64]) -> SavedController:
-        """Return an individual as it is written down; nothing is expected of it."""
+        """Return an individual in its saved form, without predictions."""
         task, start = self.task.describe(), self.task.start
         saved = SavedController.of(self.controller, genes, task, start)
         nothing = {
@@ -159,7 +159,7 @@ class Driven:
 
 
 class VirtualNxt(Driven):
-    """Drives controllers on an NXT of the virtual lab, as ``neurosim run`` does, and tracks it.
+    """Drives controllers on an NXT of the virtual lab, like ``neurosim run``, and tracks it.
 
     Every trial has its own noise.
 
@@ -182,9 +182,9 @@ class VirtualNxt(Driven):
 
         Args:
             controller: the family.
-            task: that is to be done.
+            task: the task.
             lab_seed: Number of the virtual lab's robot and board.
-            seed: Random seed of the lab's noise from trial to trial.
+            seed: Random seed of the lab's noise between trials.
             slip: Mean slip of the wheels on the floor, as a fraction of the distance.
                 [default: the lab's own]
             battery: The battery's voltage before a trial, V.  [default: the robot's own]
@@ -207,7 +207,7 @@ class VirtualNxt(Driven):
         self.changes = {name: value for name, value in changes.items() if value is not None}
 
     def describe(self) -> dict[str, Any]:
-        """Return which robot it is."""
+        """Return the description of the robot."""
         return {
             "kind": "virtual-nxt",
             "virtual": True,
@@ -243,19 +243,19 @@ def on_robot(
     camera: str | None = None,
     calibration: str | Path | None = None,
 ) -> Iterator[Any]:
-    """Connect a robot and give the reality that it is.
+    """Connect a robot and give its reality.
 
-    One that sees what is near, and that no camera films, stays on its floor between trials
-    (:class:`~neurosim.trials.floor.OnFloor`); any other is put back by a person.
+    A robot with proximity sensors and without a camera stays on its floor between trials
+    (:class:`~neurosim.trials.floor.OnFloor`); a person puts any other one back.
 
     Args:
         robot: not connected yet.
-        controller, task, simulator: as of :func:`neurosim.trials.realities.make_reality`.
+        controller, task, simulator: see :func:`neurosim.trials.realities.make_reality`.
         camera: a camera's number, a file or URL that OpenCV opens, or None.
         calibration: the camera's.
 
     Raises:
-        UserError: if the robot lacks what the controller or the task needs.
+        UserError: if the robot lacks inputs of the controller or the task.
         RobotError: if it cannot be reached.
     """
     if camera is None and isinstance(robot, Proximity):

@@ -27,36 +27,35 @@ from neurosim.simulators.base import InPlace
 from neurosim.trials.by_hand import answer_to
 from neurosim.trials.driver import Driver, missing
 
-#: Between trials the robot wanders for so long, so that each begins elsewhere, s.
+#: Time for which the robot wanders between trials, so that each begins at another pose, s.
 WANDER = 2.0
-#: For so long it then stands still, as it does at the start of a trial in a simulator, s.
+#: Time for which it then stands, as at the start of a trial in a simulator, s.
 REST = 0.3
-#: Paths are compared for so many seconds, from so many starts.
+#: Duration of compared paths, s, and number of their starts.
 SECONDS, STARTS = 10.0, 2
-#: A virtual robot first stands with so much room around it, m.
+#: Room around a virtual robot's first pose, m.
 FREE = 0.0125
-#: Something is near, by a sensor that looks forward: the robot turns before it wanders on.
+#: Reading of a forward sensor at which the wandering robot turns first.
 NEAR = 0.3
 
 
 class SeeingRobot(Robot, Proximity, Protocol):
-    """A robot that sees what is near."""
+    """A robot with proximity sensors."""
 
 
 class OnFloor:
     """Tries controllers on a robot, one after the other, in the robot's own time.
 
-    Nobody puts the robot down between trials: it wanders away from what is near, in a direction
-    drawn again, stands still, and the next trial starts from there. Every step begins with a
-    reading; the command that follows from it is sent a fixed time later, so that the robot is as
-    late in every step as it is in the simulator.
+    Nobody places the robot between trials: it wanders away from near objects, in a random
+    direction, stands still, and the next trial starts from there. Every step begins with a reading;
+    its command is sent a fixed time later, so that the delay is that of the simulator.
 
     Attributes:
         robot: connected.
-        evaluator: the simulator, task and controller; the task is judged by readings and commands
-            alone.
-        hold: from asking for a reading to sending the command, s, or as long as that takes; as in
-            the simulator, see :class:`~neurosim.simulators.tables.reaction.Reaction`.
+        evaluator: the simulator, task and controller; the task is judged only by readings and
+            commands.
+        hold: time from the request for a reading to sending the command, s, as in the simulator (it
+            may take longer); see :class:`~neurosim.simulators.tables.reaction.Reaction`.
     """
 
     def __init__(
@@ -73,13 +72,14 @@ class OnFloor:
 
         Args:
             robot, evaluator: see the class.
-            place: has the robot put at a pose (m, m, rad), by a person or in the lab.
-            pose: from a start pose on, returns what tells the robot's pose; None: nothing does.
-            about: which robot it is.
-            seed: of where it wanders.
+            place: makes a person, or the lab, place the robot at a pose (m, m, rad).
+            pose: a function from a start pose to a source of the robot's pose; None: the pose is
+                unknown.
+            about: the robot's description.
+            seed: of its wandering.
 
         Raises:
-            UserError: if the robot lacks what the controller or the task needs.
+            UserError: if the robot lacks inputs of the controller or the task.
         """
         self.robot, self.evaluator = robot, evaluator
         reaction = getattr(evaluator.simulator, "reaction", None)
@@ -96,21 +96,21 @@ class OnFloor:
 
     @property
     def seconds(self) -> float:
-        """How long a controller's trial takes, s."""
+        """Duration of a controller's trial, s."""
         task, episode = self.evaluator.task, self.evaluator.episode
         return task.trial_starts * (WANDER + REST + episode.steps * episode.step)
 
     def describe(self) -> dict[str, Any]:
-        """Return which robot it is."""
+        """Return the robot's description."""
         return dict(self._about)
 
     def stop(self) -> None:
-        """Stop the robot: a trial is given up."""
+        """Stop the robot, because a trial is given up."""
         self._given_up = True
         self.robot.stop()
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
-        """Return the fitness of an individual [G] in a trial, from where the robot stands."""
+        """Return the fitness of an individual [G] in a trial, from the robot's present pose."""
         task, rng = self.evaluator.task, np.random.default_rng([self._seed, number, 0xF1])
         drives = []
         try:
@@ -151,12 +151,12 @@ class OnFloor:
     def drive(
         self, genes: NDArray[np.float64], steps: int, pose: Callable[[], Any] | None = None
     ) -> Trajectory:
-        """Drive an individual [G] from where the robot stands.
+        """Drive an individual [G] from the robot's present pose.
 
         Args:
             genes: its genes.
             steps: of the episode's step.
-            pose: tells where the robot is [3] (m, m, rad) before the first step and after each.
+            pose: gives the robot's pose [3] (m, m, rad) before the first step and after each.
         """
         step, open_loop = self.evaluator.episode.step, self.evaluator.controller.open_loop
         driver = Driver(self._saved(genes), self.evaluator.episode, {}, self.robot.commands)
@@ -175,7 +175,7 @@ class OnFloor:
             drive_for(self.robot, command.numbers, command.duration)
             readings.append([seen[name] for name in names])
             commands.append([*command.numbers, command.duration])
-            # A step that took too long shifts those after it rather than shortening them.
+            # A late step shifts the following ones instead of shortening them.
             time = max(time + command.duration, clock.now())
             clock.sleep_until(time)
             if pose is not None:
@@ -212,22 +212,22 @@ class OnFloor:
 
 
 def about_robot(robot: Robot) -> dict[str, Any]:
-    """Return which robot it is: not where it is plugged in, nor what it has counted so far."""
+    """Return the robot's description, without its port and its counts so far."""
     return {k: v for k, v in robot.describe().items() if k not in ("port", "reboots")}
 
 
 @contextmanager
 def on_floor(robot: Any, controller: Any, task: Any, simulator: Any) -> Iterator[OnFloor]:
-    """Connect a robot and give the trials on its floor; its path is known by its counters.
+    """Connect a robot and give the trials on its floor; its path comes from its counters.
 
     Args:
         robot: not connected yet.
         controller, task: see :class:`OnFloor`.
-        simulator: in which the controller is evolved.
+        simulator: the simulator of the controller's evolution.
 
     Raises:
-        UserError: if the robot lacks what is needed, or is on a line of another speed than the
-            simulator's reaction time was measured on.
+        UserError: if the robot lacks inputs, or its line has another speed than that of the
+            simulator's measured reaction time.
         RobotError: if it cannot be reached.
     """
     evaluator = Evaluator(simulator, task, controller)
@@ -257,7 +257,7 @@ def virtual_khepera(
     """Give the trials on a Khepera of the virtual lab, in the simulator's place.
 
     Args:
-        controller, task, simulator: as of :func:`on_floor`.
+        controller, task, simulator: see :func:`on_floor`.
         lab_seed: Number of the virtual lab's robot.
         baud: Speed of its serial line; by default the robot's own, 9600.
         seed: Of the lab's noise.
@@ -283,7 +283,7 @@ def virtual_thymio(
     """Give the trials on a Thymio of the virtual lab, in the simulator's place.
 
     Args:
-        controller, task, simulator: as of :func:`on_floor`.
+        controller, task, simulator: see :func:`on_floor`.
         lab_seed: Number of the virtual lab's robot.
         seed: Of the lab's noise.
 
@@ -305,9 +305,9 @@ def _in_the_lab(
     """Give the trials on a virtual robot, in the simulator's place.
 
     Args:
-        make: makes the robot's rig, of the place and of where it stands at first.
+        make: makes the robot's rig from the place and its first pose.
         evaluator: the simulator, task and controller.
-        seed: of where it stands, and wanders.
+        seed: of its first pose and its wandering.
     """
     simulator: Any = evaluator.simulator
     if not isinstance(simulator, InPlace):
@@ -337,7 +337,7 @@ def _put_by_a_person(start: NDArray[np.float64]) -> None:
 
 
 def _check_line(simulator: Any, baud: int | None) -> None:
-    """Refuse a robot on a line of another speed than the reaction time was measured on."""
+    """Raise an error for a line of another speed than that of the measured reaction time."""
     sampled = getattr(simulator, "meta", {}).get("baud")
     if None not in (sampled, baud) and sampled != baud:
         raise UserError(

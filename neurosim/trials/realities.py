@@ -15,8 +15,8 @@ from neurosim.robots.registry import ROBOTS
 from neurosim.simulators.base import Simulator
 from neurosim.trials.filmed import on_robot
 
-#: By name: what takes a controller and its options as keywords, and the task and the simulator if
-#: it has parameters of these names; it returns a reality, or a context that gives one.
+#: Functions by name that take a controller and options as keywords, and the task and the simulator
+#: if they have parameters of these names; they return a reality, or a context that gives one.
 REALITIES = Registry(
     "reality",
     "neurosim.realities",
@@ -41,14 +41,14 @@ class _Named:
         """Return the callable whose keywords are the options.
 
         Raises:
-            UserError: if nothing has this name.
+            UserError: if the name is unknown.
         """
         if name in ROBOTS.names() and name not in REALITIES.names():
             return ROBOTS.get(name)
         return REALITIES.get(name, ROBOTS.names())
 
 
-#: What ``--reality`` takes.
+#: The choices of ``--reality``.
 NAMED = _Named()
 
 
@@ -65,16 +65,16 @@ def make_reality(
     """Return a reality, or a context that gives one.
 
     Args:
-        name: of it, or of a robot's driver.
-        controller: whose genes it is given.
-        task: that is to be done there.
-        simulator: whose genes' controllers are compared with it.
-        camera, calibration: what films a robot that is named by its driver.
-        options: of it.
+        name: of the reality, or of a robot's driver.
+        controller: the controller of the genes.
+        task: the task.
+        simulator: the simulator that is compared with it.
+        camera, calibration: the camera of a robot that is named by its driver.
+        options: of the reality.
 
     Raises:
-        UserError: if no reality has this name, it does not take the options, or what has the name
-            is no reality.
+        UserError: if the name is unknown, the options are wrong, or the registered object is not a
+            reality.
     """
     given = {"controller": controller, "task": task, "simulator": simulator}
     if name in ROBOTS.names() and name not in REALITIES.names():
@@ -93,7 +93,7 @@ def make_reality(
 
 @contextmanager
 def open_reality(name: str, *given: Any, **options: Any) -> Iterator[Reality]:
-    """Open a reality, and close it where it is to be closed; see :func:`make_reality`."""
+    """Open a reality, and close it if necessary; see :func:`make_reality`."""
     made = make_reality(name, *given, **options)
     with made if isinstance(made, AbstractContextManager) else nullcontext(made) as reality:
         yield reality

@@ -1,4 +1,4 @@
-"""A robot and what films it, ready to be used: real ones, or those of the virtual lab."""
+"""A robot and its camera, ready for use: real ones, or those of the virtual lab."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ class Setup(Checked):
 
     Attributes:
         camera: A camera's number, a file or URL that OpenCV opens, lab for the virtual lab's, or
-            none. By default, where there is to be one: 0, in the virtual lab its own.
+            none. By default, if one is needed: 0, in the virtual lab its own.
         size: Width and height of a frame in pixels; of the virtual lab's camera by default 640x480.
         fps: Frames per second; of the virtual lab's camera by default 30.
         seed: Random seed of the virtual lab's noise in this session.
-        start: Pose at which a person puts the robot; in the virtual lab, where it is put (m, m,
-            rad); None: where that lab puts it.
-        place: The place that a virtual robot drives in; by default that of its lab: a board, or the
-            arena of the Khepera's paper.
+        start: Pose at which a person, or the virtual lab, places the robot (m, m, rad); None: the
+            lab's default.
+        place: The place around a virtual robot; by default that of its lab: a board, or the arena
+            of the Khepera's paper.
         markers: The markers of a virtual robot, as in recording.json; by default its two colours.
-        real_time: The virtual lab's time is the wall clock's, as where a person drives.
+        real_time: The virtual lab's time is the wall clock's, as for driving by hand.
     """
 
     camera: str | None = None
@@ -83,16 +83,16 @@ def place_of(robot: str, task: Task, simulator: Simulator | None) -> Place | Non
 def open_rig(
     robot: str, options: Mapping[str, Any] | None = None, setup: Setup | None = None
 ) -> Iterator[Rig]:
-    """Open a robot and what films it, and close both.
+    """Open a robot and its camera, and close both.
 
     Args:
         robot: a name in :data:`RIGS`.
         options: of the robot: keywords of its driver, or of :func:`virtual`,
             :func:`virtual_khepera`.
-        setup: the rest.
+        setup: further settings.
 
     Raises:
-        UserError: if there is no such robot, or it does not take these options.
+        UserError: if the robot is unknown, or does not take these options.
         RobotError: if it cannot be reached.
     """
     setup = setup or Setup()
@@ -111,7 +111,7 @@ def open_rig(
     driver = ROBOTS.make(robot, options or {})
     with not_suspended(), stopped_at_end(lambda: driver.stop()):
         try:
-            # The robot before the camera: what is wrong with it is said first.
+            # The robot before the camera, so that its errors come first.
             driver.connect()
             camera = None
             if setup.camera != "none":
@@ -135,7 +135,7 @@ def virtual(
     """Open the virtual lab's NXT under its roof camera.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's robot and board.
         lamp: The lamp: A (on motor port A), color:3 (of the colour sensor on port 3), or none.
         push: A hand pushes the robot aside by this distance while it drives, m; the random seed
@@ -144,7 +144,7 @@ def virtual(
         real_time: Run the lab in real time, not as fast as the computer can.
 
     Raises:
-        UserError: if it cannot be pushed so.
+        UserError: if the push is impossible.
     """
     hand = None
     if push:
@@ -166,10 +166,10 @@ def virtual(
 @contextmanager
 @checks
 def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = None) -> Iterator[Rig]:
-    """Open the virtual lab's Khepera, with a camera above the place where it starts.
+    """Open the virtual lab's Khepera, with a camera above its start.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's robot.
         baud: Speed of its serial line; by default the robot's own, 9600.
     """
@@ -196,10 +196,10 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
 def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
     """Open the virtual lab's model car (a speed and a steering angle) under its roof camera.
 
-    It says what it is in lines of text, and has no lamp.
+    It describes itself in lines of text, and has no lamp.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's car.
     """
     with (
@@ -214,10 +214,10 @@ def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
     """Open the virtual lab's omnidirectional base (vx, vy, omega) under its roof camera.
 
-    It says what it is in lines of text.
+    It describes itself in lines of text.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's base.
     """
     with (
@@ -233,7 +233,7 @@ def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
     """Open the virtual lab's Thymio II under its roof camera.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's Thymio.
     """
     with VirtualThymioRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
@@ -253,10 +253,10 @@ def virtual_ros(
     """Open the virtual lab's base behind a rosbridge (v, omega) under its roof camera.
 
     Args:
-        setup: the rest.
+        setup: further settings.
         lab_seed: Number of the virtual lab's base.
         laser: Topic of the laser's scans, /scan; none: they are not read.
-        laser_sectors: Sensors that a scan is divided into.
+        laser_sectors: Number of sensors into which a scan is divided.
         laser_reach: Distance from which on a sensor reads 0, m.
     """
     scans = {"laser": laser, "laser_sectors": laser_sectors, "laser_reach": laser_reach}
@@ -279,13 +279,13 @@ def _common(setup: Setup) -> dict[str, Any]:
 
 
 def _start(setup: Setup, usual: Pose) -> Pose:
-    """Return where a virtual robot is put: as given, as its place says, or as usual."""
+    """Return the start of a virtual robot: the given one, its place's, or the default."""
     own = None if setup.place is None else setup.place.start
     return setup.start or own or usual
 
 
 def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:
-    """Return the pacer that keeps a lab in step with the wall clock, if it is asked for."""
+    """Return the pacer that keeps a lab in step with the wall clock, if wanted."""
     return Pacer(lab) if real_time else nullcontext()
 
 
@@ -293,7 +293,7 @@ def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:
 def _connected(
     rig: VirtualLinesRig | VirtualThymioRig | VirtualRosRig, setup: Setup
 ) -> Iterator[Rig]:
-    """Give the robot and its camera; what it takes and has is known from now on."""
+    """Give the robot and its camera, connected, so that its commands and abilities are known."""
     with _paced(rig.lab, setup.real_time):
         rig.robot.connect()
         yield Rig.of_lab(rig)
@@ -334,7 +334,7 @@ class Rigs:
         """Return the callable whose keywords are the robot's options.
 
         Raises:
-            UserError: if nothing has this name.
+            UserError: if the name is unknown.
         """
         return _VIRTUAL[name] if name in _VIRTUAL else ROBOTS.get(name, list(_VIRTUAL))
 

@@ -1,9 +1,8 @@
-"""Run a controller on a robot and hold what happened against the prediction.
+"""Run a controller on a robot and compare the drive with the prediction.
 
-A trial is a recording of a controller at work, with a ``trial.json``. Where the robot was a
-camera says, or the counters of its wheels. For plans this is section 7.2 of Pretorius, du Plessis
-and Cilliers (2009), Figures 6 and 7; for controllers that see, see
-:class:`~neurosim.trials.driver.Driver`.
+A trial is a recording of a controller's drive, with a ``trial.json``. Poses come from a camera, or
+from the counters of the wheels. For plans this is section 7.2 of Pretorius, du Plessis and Cilliers
+(2009), Figures 6 and 7; for closed-loop controllers see :class:`~neurosim.trials.driver.Driver`.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ from tracking.datasets.displacements import Track
 from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
 
 FORMAT, VERSION = "neurosim-trial", 1
-#: The state of knowledge at each command of a replanned plan.
+#: File of the predictions at each command of a replanned plan.
 FORESEEN, FORMAT_FORESEEN = "foreseen.json", "neurosim-foreseen"
 
-#: x (m), y (m), heading (rad), or None where nobody knows.
+#: x (m), y (m), heading (rad), or None if unknown.
 Pose = list[float] | None
 
 
@@ -60,32 +59,32 @@ def run_trial(
 ) -> dict[str, Any]:
     """Drive a robot with a controller, record and track it, and compare.
 
-    A plan is sent as it is, or replanned after every command; a controller that sees is asked
-    at the steps of its task. Where the robot is a camera says, or, without one, the counters of its
-    wheels from the start pose on.
+    A plan is sent unchanged, or replanned after every command; a closed-loop controller gives a
+    command at each step of its task. Poses come from a camera, or, without one, from the counters
+    of the wheels and the start pose.
 
-    The trial ends where a light sensor meets the perimeter line, unless the guard says otherwise:
-    the robot is then at the grid's edge or beyond, with little left to win and a fall to fear.
+    The trial ends where a light sensor meets the perimeter line, unless the guard is set otherwise:
+    the robot is then at the grid's edge or beyond, can gain little, and may fall.
 
     Args:
         controller: folder of a controller of any kind.
         out: folder of the trial; new.
-        rig: the robot, standing at the controller's start pose, and what films it.
-        track: tracks the recording in a folder, where it was not tracked as it was made.
+        rig: the robot at the controller's start pose, and its camera.
+        track: tracks the recording in a folder, if it was not tracked live.
         calibration: the camera's.
         guard: of the perimeter line.
         settings: of :class:`~neurosim.recording.record.RecordSettings`, in addition to commands and
         guard.
-        replan: the simulator in which a plan is replanned after every command, and how; None:
-            it is not.
-        seed: of that.
+        replan: simulator and settings for replanning a plan after every command; None: no
+            replanning.
+        seed: of replanning.
 
     Returns:
         The content of trial.json.
 
     Raises:
-        UserError: if anything on the way is wrong; before anything moves, if the
-            robot lacks what the controller or the task needs.
+        UserError: if a file or setting is wrong; before the robot moves, if it lacks inputs of the
+            controller or the task.
     """
     saved, robot, camera = read_controller(controller), rig.robot, rig.camera
     task = make_task(saved.task)
@@ -128,18 +127,18 @@ def run_trial(
 
 
 def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
-    """Hold a recording of a controller against its prediction; write and return trial.json.
+    """Compare a recording of a controller with its prediction; write and return trial.json.
 
     Raises:
-        UserError: if the recording is not of this controller, or where it was filmed the robot was
-            not seen at its start.
+        UserError: if the recording is not of this controller, or the camera did not see the robot
+            at its start.
     """
     saved, recording = read_controller(controller), Recording(out)
     source, plan = source_of(Path(controller)), plan_of(saved)
     driven, foreseen = _Drive.read(recording), _read_foreseen(recording.path / FORESEEN)
     by_command = bool(plan)
     if foreseen is not None:
-        # The plan was another one after every command: what was sent is what there is.
+        # The plan changed after every command: only the sent commands exist.
         plan = [Command(line.numbers, line.duration) for line in driven.sent]
         _check_driver(source, recording)
     elif plan:
@@ -147,7 +146,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     else:
         _check_driver(source, recording)
     task = make_task(saved.task)
-    # A robot that is to stop is watched as it does; a plan's always was.
+    # A robot that must stop is observed until it rests; a plan's always is.
     trajectory = driven.trajectory(by_command, by_command or task.episode.rest > 0)
     stopped = recording.meta.get("stopped")
     stop = None if stopped is None else Stop.of(stopped)
@@ -155,11 +154,11 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     ended_early = driven.cut or len(driven.sent) < (len(plan) or task.episode.steps)
     completes = bool(judged.success) and not ended_early
     predicted, actual = saved.predicted, driven.at
-    # Where a command was cut short is not where it would have led.
+    # The pose at a cut is not the end of the command.
     reached = actual[:-1] if driven.cut else actual
     if foreseen is not None:
-        # The probability is that of the plan in open loop, and a plan that was cut short was not
-        # expected to rest where its last search led.
+        # The probability is that of the plan in open loop, and a cut plan was not predicted to rest
+        # at the pose of its last search.
         predicted = {**predicted, **foreseen, "probability": None}
         if ended_early:
             predicted["rest"] = None
@@ -205,7 +204,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         "created": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
     }
     if plan:
-        # All commands of the plan, also those that were not sent any more.
+        # All commands of the plan, also those that were not sent.
         report["commands"] = [list(command.row) for command in plan]
         report["plan_length"] = len(saved.commands) or len(plan)
         report["errors"] = [
@@ -217,16 +216,16 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
 
 
 def _write_foreseen(path: Path, foreseen: list[Foreseen]) -> None:
-    """Write the state of knowledge at each command of a replanned plan."""
+    """Write the predictions at each command of a replanned plan."""
     commands = [one._asdict() for one in foreseen]
     write_json(path, FORMAT_FORESEEN, VERSION, {"commands": commands})
 
 
 def _read_foreseen(path: Path) -> dict[str, Any] | None:
-    """Return the prediction of a plan that was replanned: poses, and the rest.
+    """Return the prediction of a replanned plan: poses, and the pose at rest.
 
-    The poses are where it was to begin, and where each command was expected to lead as it was
-    given. None: it was not replanned.
+    The poses are the start, and the predicted end of each command when it was given. None: it was
+    not replanned.
     """
     if not path.exists():
         return None
@@ -244,13 +243,13 @@ class _Drive:
 
     Attributes:
         sent: the commands.
-        boundaries: when each began, and when the last ended, s.
+        boundaries: times of the commands' beginnings, and of the last end, s.
         cut: whether the last was cut short.
-        seen_by: what says where the robot was: ``camera``, ``counters``, or None.
-        at: where it was at the boundaries.
-        rest: where it came to rest.
-        path: [M, 4] time (s) and pose, all that are known.
-        looks: what a controller saw, or None.
+        seen_by: source of the poses: ``camera``, ``counters``, or None.
+        at: poses at the boundaries.
+        rest: pose at rest.
+        path: [M, 4] time (s) and pose, all known ones.
+        looks: the controller's observations, or None.
     """
 
     sent: list[CommandLine]
@@ -298,7 +297,7 @@ class _Drive:
 
         Args:
             timed: whether commands have their duration as a column.
-            stops: whether how the robot stops belongs to it.
+            stops: whether the motion until rest belongs to it.
         """
         columns = [(*line.numbers, *([line.duration] * timed)) for line in self.sent]
         commands = np.array(columns + [(0.0,) * len(columns[0])] * stops)
@@ -317,9 +316,9 @@ class _Drive:
         return Trajectory.of_track(path[:, 0], path[:, 1:], segment, commands, active, readings)
 
     def cut_error(self, predicted: list[list[float]] | None) -> dict[str, Any] | None:
-        """Return how far a robot was from the prediction where its last command was cut short.
+        """Return a robot's distance from the prediction at the cut of its last command.
 
-        The predicted pose there is on the arc of constant twist to where the command led.
+        The predicted pose there is on the arc of constant twist to the command's end.
 
         Args:
             predicted: poses [K + 1, 3] before the first command and after each (m, m, rad).
@@ -333,7 +332,7 @@ class _Drive:
         return _error(last + 1, se2.compose(before, part).tolist(), self.at[-1])
 
     def summary(self) -> dict[str, Any] | None:
-        """Return how often a controller looked, and what its sensors read; None if it did not."""
+        """Return the number of observations, and a summary of the readings; None without any."""
         if self.looks is None:
             return None
         columns = zip(self.looks.names, self.looks.readings.T, strict=True)
@@ -345,7 +344,7 @@ class _Drive:
 
 
 def _by_camera(poses: Poses, boundaries: list[float]) -> tuple[list[Pose], Pose, NDArray]:
-    """Return where a camera saw the robot: at the boundaries, at rest, and all the way."""
+    """Return the poses seen by a camera: at the boundaries, at rest, and the whole path."""
     track, end = Track(poses.time, poses.pose, poses.quality), boundaries[-1]
     at = [_pose_at(track, time) for time in boundaries]
     seen = np.isfinite(poses.pose).all(axis=1)
@@ -357,19 +356,19 @@ def _by_camera(poses: Poses, boundaries: list[float]) -> tuple[list[Pose], Pose,
 
 def _by_counters(looks: Observations, count: int) -> tuple[list[Pose], Pose, NDArray]:
     """Return the poses by the counters, in the form of a camera's."""
-    # A look for every command, one as the motors stop, and one at rest.
+    # An observation for every command, one at the stop of the motors, and one at rest.
     path = np.column_stack([looks.time, looks.pose])
     at = [pose.tolist() for pose in looks.pose[: count + 1]]
     return at, looks.pose[-1].tolist(), path
 
 
 def _whole(task: Task, judged: Judgement) -> float:
-    """Return the fitness of a trial from as many starts as the task has, were they all alike."""
+    """Return the fitness of a trial from all of the task's starts, if all were like this one."""
     return float(task.whole(np.repeat(judged.fitness, task.trial_starts)))
 
 
 def _perimeter_of(saved: SavedController) -> Perimeter | None:
-    """Return the perimeter in the simulator that a controller was evolved in; None: it has none."""
+    """Return the perimeter of a controller's simulator; None: it has none."""
     return Perimeter.from_json(saved.simulator.get("perimeter"))
 
 
@@ -380,7 +379,7 @@ def _guard_of(recording: Recording) -> str:
 
 
 def _reason(task: Task, judged: Judgement, stop: Stop | None, ended_early: bool) -> str | None:
-    """Return why the task is not done, in words that follow "the robot"; None if it is."""
+    """Return why the task is not done, in words that follow "the robot"; None if it is done."""
     if stop is not None:
         return str(stop).removeprefix("the robot ")
     if judged.reason >= 0:
@@ -389,7 +388,7 @@ def _reason(task: Task, judged: Judgement, stop: Stop | None, ended_early: bool)
 
 
 def _size_of(robot: Robot) -> dict[str, float]:
-    """Return full speed (m/s) and wheel base (m), as far as a robot says what they are."""
+    """Return full speed (m/s) and wheel base (m), if a robot gives them."""
     sizes = {}
     if isinstance(robot, WholeSpeeds):
         sizes["full_speed"] = robot.full_speed * robot.speed_unit

@@ -1,4 +1,4 @@
-"""A page on this computer that shows what the camera sees and what the tracker makes of it."""
+"""A page on this computer with the camera's picture and the tracker's results."""
 
 from neurosim.watch.server import PageServer
 from neurosim.watch.viewer import Viewer

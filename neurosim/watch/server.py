@@ -1,10 +1,10 @@
-"""The page's server: for this computer's own browser, and for nobody else.
+"""The page's server, only for this computer's own browser.
 
-It listens on the loopback address alone. Whatever else runs on this computer, or is open in its
-browser, is kept out: every address holds a secret that is drawn again for each run; a request
-must name this server as its host, so that a foreign name that resolves to this computer gets
-nothing (DNS rebinding); and requests of pages of other sites are rejected. The page may load
-nothing from anywhere else, and no other page may frame it.
+It listens on the loopback address alone. Other programs on this computer, and other pages in its
+browser, have no access: every address contains a random secret of this run; a request must name
+this server as its host, so that a foreign name that resolves to this computer has no access (DNS
+rebinding); and requests of other sites' pages are rejected. The page may not load anything from
+elsewhere, and no other page may frame it.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from neurosim.watch.sketch import PARTS
 from neurosim.watch.viewer import CORNERS, Viewer
 
 HOST = "127.0.0.1"
-#: A request's body is a click, or where levers are; nothing is as long as this.
+#: Longest body of a request: a click, or positions of levers.
 LONGEST_BODY = 4096
-#: So many connections are held at once; a browser has six. One too many takes the place of the
-#: oldest that has not shown the secret yet.
+#: Largest number of connections; a browser has six. A further one replaces the oldest that has not
+#: sent the secret yet.
 CONNECTIONS = 32
-#: What is asked for must have come within so many seconds, or the connection is closed.
+#: Seconds within which a request must be complete, or the connection is closed.
 ASK_WITHIN = 10.0
-#: How long a request for the next picture waits for one, s.
+#: Longest wait of a request for the next picture, s.
 PATIENCE = 1.0
 
 _PAGES = {
@@ -110,18 +110,19 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     # On Windows it would let two servers share the port.
     allow_reuse_address = os.name != "nt"
-    # A browser must not wait behind others until it is accepted.
+    # A browser must not wait for others until it is accepted.
     request_queue_size = 128
 
     def __init__(self, *args: Any):
         super().__init__(*args)
-        # Of every connection: since when it is waited for what it asks; None while it is answered.
+        # For every connection: time since which its request is waited for; None while it is
+        # answered.
         self.asking: dict[socket.socket, float | None] = {}
-        # Those over which the secret came.
+        # Connections that sent the secret.
         self.known: set[socket.socket] = set()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, unless there are too many already."""
+        """Answer in a new thread, unless there are too many."""
         if len(self.asking) >= CONNECTIONS and not self._make_room():
             super().shutdown_request(request)
             return
@@ -135,12 +136,12 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def waits(self, request: Any, since: float | None) -> None:
-        """Note since when a connection that keeps its place is waited for; None: it is not."""
+        """Note the time since which an accepted connection is waited for; None: it is not."""
         if request in self.asking:
             self.asking[request] = since
 
     def _make_room(self) -> bool:
-        """Close the oldest connection that has not shown the secret; False: all have."""
+        """Close the oldest connection that has not sent the secret; False: all have sent it."""
         strangers = (each for each in list(self.asking) if each not in self.known)
         oldest = next(strangers, None)
         if oldest is None:
@@ -151,7 +152,7 @@ class _Server(ThreadingHTTPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close connections that ask for nothing, some times a second."""
+        """Close connections without a request, some times a second."""
         latest = time.monotonic() - ASK_WITHIN
         for request, since in list(self.asking.items()):
             if since is not None and since < latest:
@@ -159,11 +160,11 @@ class _Server(ThreadingHTTPServer):
                     request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a browser that goes away in the middle of a picture is no news."""
+        """Print nothing: a browser may leave in the middle of a picture."""
 
 
 class _Refused(Exception):
-    """A request that gets no answer but a status."""
+    """A request that gets only a status."""
 
     def __init__(self, status: HTTPStatus, why: str):
         super().__init__(why)
@@ -183,7 +184,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def handle_one_request(self) -> None:
-        """Wait for what is asked, and answer it."""
+        """Wait for a request, and answer it."""
         self.server.waits(self.connection, time.monotonic())
         super().handle_one_request()
 
@@ -192,11 +193,11 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        """Take what was set on the page."""
+        """Take the settings of the page."""
         self._answer(self._post)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal is for people."""
+        """Print nothing: the terminal is for people."""
 
     def _answer(self, how: Callable[[str], tuple[bytes, str, dict[str, str]]]) -> None:
         try:
@@ -205,10 +206,10 @@ class _Handler(BaseHTTPRequestHandler):
         except _Refused as refused:
             status, headers = refused.status, {}
             body, kind = f"{refused}\n".encode(), "text/plain; charset=utf-8"
-            # What follows in the line may be the body that was not read.
+            # The following bytes may be the unread body.
             self.close_connection = True
         except UserError as error:
-            # What a person did is answered to the person.
+            # Errors of a person are shown to the person.
             status, headers = HTTPStatus.OK, {}
             body, kind = _json({"error": str(error)})
         self.server.waits(self.connection, None)
@@ -327,7 +328,7 @@ def _number(asked: dict[str, Any], name: str) -> float:
 
 
 def _levers(asked: dict[str, Any]) -> tuple[str, list[float] | None, float]:
-    """Return which page says where the levers are, where, and the speed; None: it goes away."""
+    """Return the page's name, the levers' positions and the speed; None: the page is closed."""
     page, levers = asked.get("page"), asked.get("levers")
     if not isinstance(page, str):
         raise _Refused(HTTPStatus.BAD_REQUEST, "page: expected a name")

@@ -12,7 +12,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.perimeter import Board
 from neurosim.base.place import Line, Place, Point
 
-#: What each click on a part marks, in order; of those in ANY_NUMBER all clicks mark the same.
+#: Meaning of each click on a part, in order; the same for all clicks on parts in ANY_NUMBER.
 PARTS = {
     "outline": ("a corner",),
     "wall": ("one end", "the other end"),
@@ -24,7 +24,7 @@ PARTS = {
     "start": ("the middle of the robot", "a point straight ahead of it"),
     "perimeter": ("the middle of the board's line",),
 }
-#: Parts of as many clicks as a person likes: these end with :meth:`Sketch.finish`.
+#: Parts with any number of clicks, which end with :meth:`Sketch.finish`.
 ANY_NUMBER = ("outline", "line", "closed line")
 #: Parts that have a width.
 LINES = ("line", "closed line", "perimeter")
@@ -34,11 +34,11 @@ class Sketch:
     """A place, and the clicks on its next part.
 
     Args:
-        place: to begin with.
+        place: the first place.
 
     Attributes:
         part: the part that is being drawn; empty: none.
-        points: where was clicked for it, m.
+        points: its clicked points, m.
     """
 
     def __init__(self, place: Place):
@@ -52,23 +52,23 @@ class Sketch:
         return self._versions[-1]
 
     def set_board(self, length: float, width: float) -> None:
-        """Take the board's measures, m; its line stays as far inside as it was."""
+        """Set the board's measures, m; its line keeps its distance from the edge."""
         usual, given = Board(line_width=0.0), {"length": length, "width": width}
         self._versions = [
             replace(one, board=replace(one.board or usual, **given)) for one in self._versions
         ]
 
     def click(self, part: str, point: Point, width: float) -> str:
-        """Take a click for a part, a key of :data:`PARTS`; return what to say of it.
+        """Take a click for a part, a key of :data:`PARTS`; return a message.
 
         Args:
-            part: which is drawn.
+            part: the part that is drawn.
             point: x and y, m.
             width: of lines, m.
 
         Raises:
-            UserError: if another part is not finished, or the part cannot be there; this click is
-                then forgotten.
+            UserError: if another part is not finished, or the part is impossible there; this click
+                is then dropped.
         """
         if self.points and part != self.part:
             raise UserError(f"finish the {self.part} first, or undo its clicks")
@@ -81,10 +81,10 @@ class Sketch:
         return f"{message}, or finish" if part in ANY_NUMBER else message
 
     def finish(self, width: float) -> str:
-        """End a part of any number of clicks; return what to say.
+        """End a part with any number of clicks; return a message.
 
         Raises:
-            UserError: if there is none, or it has too few clicks; it can then go on.
+            UserError: if there is none, or it has too few clicks; it can then be continued.
         """
         if not self.points:
             raise UserError("there is nothing to finish: choose a part and click on it first")
@@ -93,7 +93,7 @@ class Sketch:
         return self._add(self.part, self.points, width)
 
     def undo(self) -> str:
-        """Forget the last click, or the last part; return what to say.
+        """Undo the last click, or the last part; return a message.
 
         Raises:
             UserError: if there is none.
@@ -116,7 +116,7 @@ class Sketch:
 
 
 def _with(place: Place, part: str, points: list[Point], width: float) -> Place:
-    """Return a place with one more part, or with another one of which there is one only."""
+    """Return a place with one more part, or with a replaced part of which only one can exist."""
     first, last = points[0], points[-1]
     if part in LINES and not width > 0:
         raise UserError("type the width of the line first: a number of metres, such as 0.02")

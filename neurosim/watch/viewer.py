@@ -31,19 +31,19 @@ from tracking.markers.sought import Sought, drawing_colours
 from tracking.markers.tags import Tag
 from tracking.poses import marker_poses
 
-#: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
-#: which x runs to the right: the order in which they are clicked.
+#: Positions of the corners, in halves of the board's length and width, in the order of clicks, for
+#: a picture in which x points to the right.
 CORNERS = {
     "top left": (-1, 1),
     "top right": (1, 1),
     "bottom right": (1, -1),
     "bottom left": (-1, -1),
 }
-#: Lines of the grid that is drawn over the board are this far apart, m.
+#: Distance of the grid's lines over the board, m.
 GRID = 0.5
-#: What is drawn lies no farther outside the board, m.
+#: Largest distance of drawn parts from the board, m.
 MARGIN = 0.05
-#: The robot is lost if it was not seen for so long, s; and so is the camera without a picture.
+#: Time without sight after which the robot counts as lost, s; also without a picture, the camera.
 LOST_AFTER, STALE_AFTER = 0.5, 2.0
 JPEG_QUALITY = 85
 
@@ -56,18 +56,18 @@ class Viewer:
     Args:
         size: of the camera's pictures.
         markers: as in recording.json.
-        what: is looked for: the colours of front and rear, or a tag.
+        what: the tracked markers: the colours of front and rear, or a tag.
         camera: the calibration, or None; with a place over the board, or of the lens alone.
         board: ``length`` and ``width`` in metres.
-        look_for: called with what is looked for, and a calibration, when they were set on the
-            page; None for a page on which nothing can be set.
-        calibration_file: where the calibration is saved.
-        markers_file: where the markers are saved.
-        place_file: where the place is saved.
-        place: shown over the picture, and drawn on; by default the board alone.
+        look_for: called with new markers and a calibration, when they are set on the page; None for
+            a page without settings.
+        calibration_file: file for the calibration.
+        markers_file: file for the markers.
+        place_file: file for the place.
+        place: the place over the picture, which can be drawn; by default the board alone.
         label: the camera's name, for the page's heading.
-        seen_by: who sees the robot: the ``tracker``, only the ``camera``, or ``nobody``.
-        hand: by which a person drives the robot on the page, or None.
+        seen_by: source of the picture: the ``tracker``, only the ``camera``, or ``nobody``.
+        hand: the input of a person who drives on the page, or None.
     """
 
     def __init__(
@@ -117,12 +117,12 @@ class Viewer:
 
     @property
     def settable(self) -> bool:
-        """Whether anything can be set on the page."""
+        """Whether the page has settings."""
         return self._look_for is not None
 
     @property
     def corners(self) -> dict[str, list[float]]:
-        """The pixels of the corners that were clicked, by name."""
+        """The pixels of the clicked corners, by name."""
         with self._change:
             return {name: list(pixel) for name, pixel in self._corners.items()}
 
@@ -140,7 +140,7 @@ class Viewer:
             self._change.notify_all()
 
     def end(self, why: str) -> None:
-        """Say on the page why no more pictures will come."""
+        """Show on the page why no more pictures will come."""
         with self._change:
             self._ended = why
             self._change.notify_all()
@@ -148,7 +148,7 @@ class Viewer:
     # To the page
 
     def picture(self, after: int, timeout: float) -> tuple[bytes, dict[str, Any]]:
-        """Return the newest picture as JPEG, and the state that belongs to it.
+        """Return the newest picture as JPEG, and its state.
 
         Waits up to ``timeout`` seconds for a picture newer than number ``after``; the picture is
         empty if there is none.
@@ -205,7 +205,7 @@ class Viewer:
         }
 
     def _describe(self, which: str, place: int) -> dict[str, Any]:
-        """Say what a marker's colour is, and what it looks like to this camera."""
+        """Describe a marker's colour, and its look in this camera."""
         pointed, learned = self._pointed.get(which), self._seen_colour(which)
         named = _hex(drawing_colours(self._what)[place])
         if isinstance(self._what, Tag):
@@ -250,7 +250,7 @@ class Viewer:
         return self._pixels(lines)
 
     def drawing(self) -> dict[str, Any]:
-        """Return the place as the page draws it.
+        """Return the place for the page's drawing.
 
         Returns:
             ``number``: ``drawn`` in the state of the same moment; ``free``, ``solid``: lines, each
@@ -272,7 +272,7 @@ class Viewer:
             }
 
     def _pixels(self, lines: Sequence[ArrayLike]) -> list[list[list[float]]]:
-        """Return lines through points [N, 2] on the floor (m) as pixels: a lens bends them."""
+        """Return lines through points [N, 2] on the floor (m) as pixels, bent by the lens."""
         if self._camera is None or not lines:
             return []
         fine = [_finer(np.asarray(line, float)) for line in lines]
@@ -284,7 +284,7 @@ class Viewer:
     # From the page
 
     def set_colour(self, which: str, u: float, v: float) -> str:
-        """Take a marker's colour from a pixel of the newest picture; return what to say of it.
+        """Take a marker's colour from a pixel of the newest picture; return a message.
 
         Raises:
             UserError: if there is no colour there.
@@ -310,13 +310,13 @@ class Viewer:
         return message
 
     def set_corner(self, name: str, u: float, v: float) -> str:
-        """Say where a corner of the board is; with the fourth the camera is found."""
+        """Set a corner of the board; the fourth one gives the camera's pose."""
         with self._change:
             self._corners[name] = (round(u, 2), round(v, 2))
         return self._find_camera()
 
     def clear_corners(self) -> str:
-        """Forget the corners, and the camera that came from them."""
+        """Drop the corners, and the camera's pose from them."""
         with self._change:
             self._corners = {}
             given = self._lens
@@ -325,7 +325,7 @@ class Viewer:
         return "click on the four corners of the board"
 
     def set_board(self, length: float, width: float, height: float | None) -> str:
-        """Take the board's measures and, if it was measured, the camera's height above it, m."""
+        """Set the board's measures and, if it was measured, the camera's height above it, m."""
         if not (0.05 <= width <= 100 and 0.05 <= length <= 100):
             raise UserError("a board is 0.05 to 100 m long and wide")
         if height is not None and not 0.1 <= height <= 100:
@@ -341,18 +341,18 @@ class Viewer:
         """Take a click on a pixel for a part of the place; see :meth:`Sketch.click`.
 
         Raises:
-            UserError: if no calibration says where that is, or it is outside the board.
+            UserError: if no calibration gives its position, or it is outside of the board.
         """
         with self._change:
             return self._sketched(self._sketch.click(part, self._on_floor(u, v), width))
 
     def finish(self, width: float) -> str:
-        """End a part of any number of clicks; see :meth:`Sketch.finish`."""
+        """End a part with any number of clicks; see :meth:`Sketch.finish`."""
         with self._change:
             return self._sketched(self._sketch.finish(width))
 
     def undo(self) -> str:
-        """Forget the last click on the place, or the last part; see :meth:`Sketch.undo`."""
+        """Undo the last click on the place, or the last part; see :meth:`Sketch.undo`."""
         with self._change:
             return self._sketched(self._sketch.undo())
 
@@ -362,7 +362,7 @@ class Viewer:
         return message
 
     def _on_floor(self, u: float, v: float) -> tuple[float, float]:
-        """Return where on the floor a pixel is, m."""
+        """Return a pixel's position on the floor, m."""
         if self._camera is None:
             raise UserError(
                 "no calibration says where on the floor that is: click on the four corners of the "
@@ -377,10 +377,10 @@ class Viewer:
         return x, y
 
     def save(self, what: str, *, replace: bool = False) -> str:
-        """Write calibration.json, markers.json or place.json; return what to say.
+        """Write calibration.json, markers.json or place.json; return a message.
 
         Raises:
-            UserError: if there is nothing to save, or a file that was there before.
+            UserError: if there is nothing to save, or the file exists.
         """
         path = self._files[what]
         if what == "calibration" and self._camera is None:
@@ -400,7 +400,7 @@ class Viewer:
         return f"{path} is written; record with --{what} {path}"
 
     def _named(self) -> dict[str, Any]:
-        """Return front and rear with their colours, as markers.json has them; nothing of a tag."""
+        """Return front and rear with their colours for markers.json; empty for a tag."""
         if isinstance(self._what, Tag):
             return {}
         if not distinguishable(*self._what):
@@ -455,7 +455,7 @@ def _pixel(point: NDArray) -> list[float]:
 
 
 def _finer(line: NDArray) -> NDArray:
-    """Return a line [N, 2] with points between its ends and corners; one of many has enough."""
+    """Return a line [N, 2] with more points between its corners, unless it has many."""
     if len(line) > 12:
         return line
     fraction = np.linspace(0, 1, 13)[1:, None]

@@ -1,7 +1,7 @@
 """The table simulator, compiled: sensing, motion and collisions.
 
-They compute what :class:`neurosim.simulators.tables.simulator.TableSimulator` does in plain
-tensors, one robot after the other. Readings are in single precision, poses in double.
+The functions compute the same as :class:`neurosim.simulators.tables.simulator.TableSimulator` in
+plain tensors, one robot after the other. Readings are in single precision, poses in double.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from neurosim.base.se2 import compiled as se2
 from neurosim.simulators import engine
 from neurosim.simulators.numbers import NORMAL, UNIFORM
 
-#: Places in :data:`neurosim.simulators.tables.simulator.NOISES`: what their numbers are.
+#: Kinds of random numbers, in the order of :data:`neurosim.simulators.tables.simulator.NOISES`.
 UNIFORM_NOISE, SAMPLES_NOISE = UNIFORM, NORMAL
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
-#: Tables hold at least so many sensors: a number that is known when the kernels are compiled is
-#: faster. Those that a robot does not have read nothing.
+#: Smallest number of sensors in a table, because a number known to the compiler is faster. Missing
+#: sensors read nothing.
 LANES = 8
-#: Motions of a command whose timing is kept for the next one.
+#: Number of motions of a command whose timing is kept for the next one.
 _PARTS = 64
-#: A robot in a corner is moved out of one wall and then the other, at most so often.
+#: Largest number of times that a robot in a corner is moved out of one wall and then the other.
 PASSES = 8
-#: What is left of an overlap then, m; with more it is jammed and stays where it was.
+#: Largest remaining overlap, m; with more it is jammed and stays at its position.
 SLACK = 1e-4
-#: What is nearer to the rim is seen as if it were so near, m.
+#: Smallest distance from the rim at which objects are seen, m.
 NEAREST = 1e-4
-#: The fraction of an endless wall's light that counts as none.
+#: Fraction of an endless wall's light that counts as no light.
 FAINT = 1e-6
 
 
@@ -47,33 +47,33 @@ class Lookup(NamedTuple):
 
     excess: np.ndarray  #: [K, D, A + 1, L] float32, reading above the one far from everything
     variance: np.ndarray  #: [K, D, A + 1, L] float32, of a reading, likewise
-    ambient: np.ndarray  #: [L] float32, reading far from everything
+    ambient: np.ndarray  #: [L] float32, reading without objects
     ambient_variance: np.ndarray  #: [L] float32
     first: float  #: smallest sampled distance, rim to surface, m
     pitch: float  #: between sampled distances, m
-    fade: float  #: beyond the last distance readings fade over this length, m
-    reach: np.ndarray  #: [K] so far from the rim objects of a kind change a reading, m
-    sensors: int  #: how many are read, 0 or all
+    fade: float  #: length over which readings fade beyond the last distance, m
+    reach: np.ndarray  #: [K] largest distance from the rim at which objects change a reading, m
+    sensors: int  #: number of sensors that are read, 0 or all
 
 
 class TableArrays(NamedTuple):
-    """A table simulator's numbers, laid out for these kernels."""
+    """A table simulator's numbers for these kernels."""
 
     near: Lookup  #: of walls, its first kind, and of obstacles
-    light: Lookup  #: of lights, its only kind; without lights none of its sensors is read
+    light: Lookup  #: of lights, its only kind; without lights, its sensors are not read
     twist: np.ndarray  #: [V, R, 3] body twists, m/s, m/s, rad/s
     twist_spread: np.ndarray  #: [V, R, 3] per square root of a second
     lowest: float  #: the first level of both motors, %
     level_pitch: float  #: between levels, %
-    resolution: float  #: commands are rounded to multiples of it, %; 0: not at all
-    delay: float  #: until the wheels begin to answer a command, s
-    lag: np.ndarray  #: [2] in which a wheel comes within 1/e of its new speed, s
+    resolution: float  #: commands are rounded to multiples of it, %; 0: no rounding
+    delay: float  #: delay until the wheels begin to answer a command, s
+    lag: np.ndarray  #: [2] time constants of the wheels, s
     radius: float  #: of the robot, m
     fastest: float  #: its highest speed, m/s
-    longest: float  #: a command is carried out in motions no longer than this, s
-    looks: np.ndarray  #: [2, L] unit vectors along which sensors of ``near`` look, ahead and left
+    longest: float  #: longest motion of a command, s
+    looks: np.ndarray  #: [2, L] directions of sensors of ``near``, unit vectors, ahead and left
     walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length; free on their left
-    screens: np.ndarray  #: [H, 5] the same of what may stand before something
+    screens: np.ndarray  #: [H, 5] the same of walls that may hide objects
     obstacles: np.ndarray  #: [N, 4] x, y, radius, kind in ``near``
     lights: np.ndarray  #: [M, 2] x, y
     noise: int  #: place in :data:`neurosim.simulators.tables.simulator.NOISES`
@@ -93,17 +93,17 @@ def _nearest(wall, x, y):
 def _light(begin, end, height, ahead, aside):
     """Return the light that a straight surface reflects to a sensor, 1/m2.
 
-    The surface lies from ``begin`` to ``end`` (m) along a line at the height ``height`` (m) above
-    the sensor, which looks ahead (to the line) and aside (along it) so far: a unit vector. By
+    The surface is from ``begin`` to ``end`` (m) along a line at the height ``height`` (m) above the
+    sensor, whose direction is the unit vector ``ahead`` (to the line) and ``aside`` (along it). By
     Lambert's law the light of a small angle falls with the cosine of the incidence a and with the
-    square of the way, height / cos a; sensor and emitter have lobes of which the product falls
-    with cos^2. Of what is behind the sensor it sees nothing: a ends where sin a is -ahead. The
+    square of the distance, height / cos a; the product of the lobes of sensor and emitter falls
+    with cos^2. The sensor sees nothing behind it: a ends where sin a is -ahead. The
     integrand over a, with s = sin a and c = cos a, is c^3 (ahead c + aside s)^2.
     """
     square = height * height
     c, k = height / math.sqrt(begin * begin + square), height / math.sqrt(end * end + square)
     s, z = begin / height * c, end / height * k
-    # Selected, not branched to, so that sensors are worked off side by side.
+    # Selected without a branch, so that several sensors are computed in parallel.
     cut_begin, cut_end = aside >= 0.0 and s < -ahead, aside <= 0.0 and z > ahead
     s, c = -ahead if cut_begin else s, aside if cut_begin else c
     z, k = ahead if cut_end else z, -aside if cut_end else k
@@ -118,7 +118,7 @@ def _light(begin, end, height, ahead, aside):
 
 @kernel(forceinline=True)
 def _endless(height, ahead):
-    """Return the same of an endless line, to which a sensor looks so far ahead."""
+    """Return the light of an endless line, with a sensor's component ``ahead`` towards it."""
     side = max(1.0 - ahead * ahead, 0.0)
     a3 = ahead * ahead * ahead
     a5 = a3 * ahead * ahead
@@ -130,7 +130,7 @@ def _endless(height, ahead):
 
 @kernel(forceinline=True)
 def _hidden(screens, x, y, dx, dy):
-    """Return whether something stands between (x, y) and the point (dx, dy) from it."""
+    """Return whether an object is between (x, y) and the point (dx, dy) from it."""
     for h in range(len(screens)):
         w = screens[h]
         here = (x - w[0]) * w[3] - (y - w[1]) * w[2]
@@ -190,7 +190,7 @@ def _add(t, noisy, kind, distance, bearing, out, variance):
 
 @kernel(forceinline=True)
 def _visible(wall, screens, x, y, reach):
-    """Return whether a wall's front is in reach (m) of (x, y), and the vector to its nearest."""
+    """Return whether a wall's front is within reach (m) of (x, y), and the nearest vector to it."""
     dx, dy = _nearest(wall, x, y)
     front = (wall[0] - x) * wall[3] - (wall[1] - y) * wall[2] > 0.0
     seen = front and dx * dx + dy * dy < reach * reach and not _hidden(screens, x, y, dx, dy)
@@ -199,7 +199,7 @@ def _visible(wall, screens, x, y, reach):
 
 @kernel(fastmath=_FAST)
 def _add_light(wall, looks, radius, x, y, cos, sin, number, total, most, brightest):
-    """Add the light [S] of a wall to the total, and note where it is the most so far."""
+    """Add the light [S] of a wall to the total, and note the brightest wall so far."""
     off_x, off_y = wall[0] - x, wall[1] - y
     high, first = off_x * wall[3] - off_y * wall[2], off_x * wall[2] + off_y * wall[3]
     along_x, along_y = cos * wall[2] + sin * wall[3], cos * wall[3] - sin * wall[2]
@@ -216,10 +216,10 @@ def _add_light(wall, looks, radius, x, y, cos, sin, number, total, most, brighte
 
 @kernel()
 def _add_walls(t, x, y, theta, reach, sums, out, variance):
-    """Add what walls reflect together, of which some end.
+    """Add the reflection of all walls together, some of which end.
 
-    Their light adds up. Every sensor reads what it would before an endless wall alone, straight
-    before that point from which most light comes, as far away as gives so much light.
+    Their light adds up. Every sensor has the reading of a single endless wall, perpendicular at the
+    brightest point, at the distance with this amount of light.
     """
     near = t.near
     distances = near.excess.shape[1]
@@ -342,7 +342,7 @@ def sense(t, state, z, work, out):
 
 @kernel(fastmath=_FAST, forceinline=True)
 def _push_out(t, x, y):
-    """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
+    """Return the position of a robot at (x, y) after a move out of overlaps, and if it fits."""
     for _ in range(PASSES):
         free = True
         for w in range(len(t.walls)):
@@ -370,13 +370,13 @@ def _push_out(t, x, y):
 
 @kernel(fastmath=_FAST, forceinline=True)
 def _rounded(t, speed):
-    """Return the speed in percent that the robot takes for one."""
+    """Return the nearest possible speed, in percent."""
     return t.resolution * np.rint(speed / t.resolution) if t.resolution > 0.0 else speed
 
 
 @kernel(fastmath=_FAST, forceinline=True)
 def _level(t, speed, levels):
-    """Return place and fraction of the level below a speed in percent."""
+    """Return index and fraction of the level below a speed in percent."""
     place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
     below = min(int(place), levels - 2)
     return below, place - below
@@ -395,10 +395,10 @@ def _twist(t, table, left, right, out):
 
 @vectorize(["int64(float64, float64, float64, float64)"], cache=True)
 def substeps(duration, fastest, radius, longest):
-    """Return into how many motions a command of a duration (s) is cut.
+    """Return the number of motions into which a command of a duration (s) is cut.
 
-    None takes the robot further than half its radius, so that it cannot pass through a wall; nor,
-    where wheels are late, is longer than a step, through which their mean speeds count.
+    No motion is longer than half the robot's radius, so that it cannot pass through a wall; nor, if
+    wheels have a lag, longer than a step, in which their mean speeds count.
     """
     parts = max(math.ceil(2.0 * duration * fastest / radius), math.ceil(duration / longest - 1e-9))
     return max(parts, 1)
@@ -406,16 +406,16 @@ def substeps(duration, fastest, radius, longest):
 
 @kernel()
 def phases(t, duration, parts, first, out):
-    """Write how speeds approach their goals in some parts of a command of ``duration`` (s).
+    """Write the approach of speeds to their goals in some parts of a command of ``duration`` (s).
 
     Args:
         t: :class:`TableArrays`.
         duration: of the command, s.
-        parts: into which it is cut.
-        first: of those that are written.
-        out: [N, 2, 5], written; in every part first for what is left of the goals before, then
-            for the new ones. Each for so long (s); then, for either wheel, the fraction that the
-            speed at its beginning has in the mean over that time, and in the speed at its end.
+        parts: number of its parts.
+        first: first part that is written.
+        out: [N, 2, 5], written; for every part first the rest with the previous goals, then the new
+            ones. Each has a duration (s), and for each wheel the weight of the first speed in the
+            mean over that time, and in the last speed.
     """
     for n in range(min(len(out), parts - first)):
         length = duration / parts
@@ -444,7 +444,7 @@ def _advance(t, phase, speeds, left, right, out):
 
 @kernel(fastmath=_FAST, forceinline=True)
 def _moved(t, x, y, theta, first, second, noise):
-    """Return where two motions in a row, their logs and the noise's [3], lead from a pose."""
+    """Return the pose after two motions in a row, from their logs and the noise's [3]."""
     # As one motion (Baker, Campbell and Hausdorff, second order).
     ahead = 0.5 * (second[2] * first[1] - first[2] * second[1])
     side = 0.5 * (first[2] * second[0] - second[2] * first[0])
@@ -459,7 +459,7 @@ def _moved(t, x, y, theta, first, second, noise):
 
 
 def scratch(t):
-    """Return the arrays that :func:`step` and :func:`sense` write to."""
+    """Return the work arrays of :func:`step` and :func:`sense`."""
     timing, lasts = np.empty((_PARTS, 2, 5)), np.full(1, -1.0)
     lanes = len(t.near.ambient) + len(t.light.ambient)
     mean, variance = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
@@ -468,9 +468,9 @@ def scratch(t):
 
 @kernel(fastmath=_FAST, forceinline=True)
 def step(t, states, command, z, work):
-    """Change the states [N, 7] of robots that carry out a command (%, %, s).
+    """Change the states [N, 7] of robots by a command (%, %, s).
 
-    ``z`` [N, S + 3] are the numbers of the noise, the motion's last; N = 0: there is none.
+    ``z`` [N, S + 3] are the random numbers of the noise, the motion's last; N = 0: none.
     """
     twist, before, noise = work[2][0], work[2][1], work[2][2]
     timing, lasts = work[3], work[4]

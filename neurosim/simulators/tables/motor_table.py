@@ -1,4 +1,4 @@
-"""A motor table: how a robot moves at every setting of its two motors."""
+"""A motor table: a robot's motion at every setting of its two motors."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ _COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta")
 class MotorTable:
     """Body twists by the speeds of the left and the right motor.
 
-    A displacement sampled over some duration is kept as the constant twist that leads there, so
-    that other durations follow from it; its spread grows with the square root of the duration,
-    as errors that are drawn again all the time do.
+    A sampled displacement is stored as its constant twist, which also gives other durations; its
+    spread grows with the square root of the duration, like independent errors.
 
     Attributes:
         levels: (L,) speeds in percent, the same for both motors, evenly spaced and ascending.
         twist: (L, L, 3) forward m/s, to the left m/s, counter-clockwise rad/s; left x right.
-        spread: (L, L, 3) standard deviations of the twist's integral over one second, or None
-            where no setting was driven twice.
-        resolution: the robot takes multiples of this, %; a command is rounded to one first. 0
-            where any speed can be set.
+        spread: (L, L, 3) standard deviations of the twist's integral over one second, or None if no
+            setting was driven twice.
+        resolution: difference of two possible speeds, %, to which commands are rounded; 0 if any
+            speed is possible.
     """
 
     levels: NDArray[np.float64]
@@ -72,7 +71,7 @@ class MotorTable:
 
     @property
     def wheel_base(self) -> float:
-        """Return the distance between the wheels that turning on the spot tells, m."""
+        """Return the distance between the wheels by the turns on the spot, m."""
         turn = self.twist[0, -1, 2] - self.twist[-1, 0, 2]
         forward = self.twist[-1, -1, 0] - self.twist[0, 0, 0]
         return math.inf if turn == 0 else abs(float(2 * forward / turn))
@@ -81,12 +80,12 @@ class MotorTable:
     def ideal(
         cls, wheel_base: float = 0.053, full_speed: float = 0.1, *, units: int = 10
     ) -> MotorTable:
-        """Return the table of an ideal differential drive, for want of samples.
+        """Return the table of an ideal differential drive, for a robot without samples.
 
         Args:
             wheel_base: distance between the wheels, m; the Khepera's by default.
             full_speed: of a wheel at 100 %, m/s.
-            units: whole speeds that the robot can be set to, forward; full speed is the largest.
+            units: number of the robot's forward speeds, the largest of which is full speed.
         """
         levels = np.linspace(-100.0, 100.0, 2 * units + 1)
         left, right = np.meshgrid(
@@ -106,7 +105,7 @@ class MotorTable:
         *,
         resolution: float = 0.0,
     ) -> MotorTable:
-        """Make a table of displacements, every pair of speeds driven at least once.
+        """Make a table from displacements; every pair of speeds was driven at least once.
 
         Args:
             left, right: (N,) percent.
@@ -143,7 +142,7 @@ class MotorTable:
 
     @classmethod
     def read_csv(cls, path: str | Path, *, resolution: float = 0.0) -> MotorTable:
-        """Make a table of a CSV file or a dataset with left, right, duration, dx, dy, dtheta.
+        """Make a table from a CSV file or a dataset with left, right, duration, dx, dy, dtheta.
 
         Raises:
             FileError: if the file is wrong, has a duration that is not above

@@ -1,8 +1,8 @@
-"""Many arenas in the place of one: what is evolved in one arena knows that arena, and no other.
+"""Many arenas instead of one, because a controller that evolves in one arena fits only that one.
 
 Arenas are drawn at random: rectangles, slanted quadrilaterals and L-shapes of 0.4 to 0.9 m, with
-round obstacles and walls inside, wherever a robot can pass between. They stand on one floor,
-:data:`PITCH` apart along x, so that a pose says which of them a robot is in.
+round obstacles and walls inside, wherever a robot can pass between. They are on one floor,
+:data:`PITCH` apart along x, so that a pose determines the robot's arena.
 """
 
 from __future__ import annotations
@@ -21,27 +21,28 @@ from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.base import Rollouts, Simulator
 
-#: From the middle of one arena to that of the next, m.
+#: Distance from the middle of one arena to that of the next, m.
 PITCH = 100.0
-#: Sides of an arena, m, and radius of its obstacles: that of the one which robots sample.
+#: Sides of an arena, m, and radius of its obstacles, that of the sampled one.
 SIDES, OBSTACLE = (0.4, 0.9), 0.0275
-#: Most obstacles and inner walls; lengths of the latter, m.
+#: Largest number of obstacles and of inner walls; lengths of the latter, m.
 MOST, LENGTHS = (4, 2), (0.05, 0.2)
-#: Sizes are for a robot of this radius, m, and grow with it; a passage is so much wider than it.
+#: Radius of the robot for these sizes, m, which grow with it; and width of a passage beyond the
+#: robot's, m.
 _RADIUS, _SPARE = 0.0275, 0.03
-#: Something that finds no room is given up after so many tries.
+#: Number of attempts to place an object.
 _TRIES = 50
 
 
 def random_arena(
     rng: np.random.Generator, radius: float = _RADIUS, *, inner: int = MOST[1]
 ) -> Place:
-    """Return an arena drawn at random, in which a robot of ``radius`` (m) can pass everywhere.
+    """Return a random arena in which a robot of ``radius`` (m) can pass everywhere.
 
     Args:
         rng: source of the draws.
         radius: of the robot, m.
-        inner: most walls that stand inside.
+        inner: largest number of inner walls.
 
     Raises:
         UserError: if the radius is out of range.
@@ -89,7 +90,7 @@ def _free(
     room: float,
     points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64] | None:
-    """Return points [N, 2] of something with so much room around it, m; None: none was found."""
+    """Return points [N, 2] of an object with some room around it, m; None if there is no room."""
     x1, y1, x2, y2 = arena.bounds
     for _ in range(_TRIES):
         shape = points(rng.uniform((x1, y1), (x2, y2)))
@@ -99,11 +100,11 @@ def _free(
 
 
 class ManyArenas(Simulator):
-    """A table simulator in many arenas: a trial is in that in which it starts.
+    """A table simulator in many arenas; a trial stays in the arena of its start.
 
     Attributes:
         own: the simulator, in its own arena.
-        places: the same in each of the others.
+        places: copies of it in the other arenas.
     """
 
     kind = "tables"
@@ -120,7 +121,7 @@ class ManyArenas(Simulator):
 
     @property
     def bearings(self) -> NDArray[np.float64]:
-        """Where the sensors look, [S] rad to the left."""
+        """Directions of the sensors, [S] rad to the left."""
         bearings: NDArray[np.float64] = self.own.bearings
         return bearings
 
@@ -130,7 +131,7 @@ class ManyArenas(Simulator):
         return domain
 
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return random poses [count, 3] where the robot touches nothing, each in any arena."""
+        """Return random poses [count, 3] in random arenas, at which the robot touches nothing."""
         chosen = rng.integers(len(self.places), size=count)
         poses = np.concatenate([self.places[place].free_poses(1, rng) for place in chosen])
         return _moved(poses, chosen)
@@ -171,13 +172,13 @@ class ManyArenas(Simulator):
         return readings
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
-        """Return compiled rollouts, where the tables have them."""
+        """Return compiled rollouts, if the tables have them."""
         if self.own.rollouts(controller, episode) is None:
             return None
         return _Rollouts(self, controller, episode)
 
     def _split(self, state: Tensor) -> list[tuple[Tensor, Tensor, int]]:
-        """Return rows, their states as the arena has them, and the arena, of each arena."""
+        """Give, for each arena, its rows, their states in the arena's frame, and the arena."""
         where = torch.from_numpy(_place_of(state[:, :3].numpy()))
         parts = []
         for place in where.unique().tolist():
@@ -229,12 +230,12 @@ class _Rollouts:
 
 
 def _place_of(poses: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return in which arena each of poses [..., 3] is, [...]."""
+    """Return the index of the arena of poses [..., 3], [...]."""
     return np.rint(poses[..., 0] / PITCH).astype(np.int64)
 
 
 def _moved(poses: NDArray[np.float64], places: NDArray[np.int64] | int) -> NDArray[np.float64]:
-    """Return poses [..., 3] so many arenas further on."""
+    """Return poses [..., 3] moved by a number of arenas."""
     moved = np.array(poses, np.float64)
     moved[..., 0] += PITCH * np.asarray(places)
     return moved

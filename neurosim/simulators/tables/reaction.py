@@ -1,4 +1,4 @@
-"""How late a robot answers its sensors, and what its wheels do in the meantime."""
+"""The delay from a robot's sensors to its motion, and the lag of its wheels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from neurosim.base.declared import Checked
 from neurosim.base.formats import Delay
 
-#: No robot of this kind is slower, s.
+#: Largest delay, s.
 SLOWEST = 1.0
 
 
@@ -17,17 +17,16 @@ SLOWEST = 1.0
 class Reaction(Checked):
     """A robot's reaction time: a delay, then wheels that approach their new speeds.
 
-    A wheel's speed v follows dv/dt = (u(t - delay) - v) / lag, with u what was commanded.
+    A wheel's speed v follows dv/dt = (u(t - delay) - v) / lag, with the commanded speed u.
 
     Attributes:
-        hold: from the moment that sensors are asked for to the one in which the command that
-            follows from them is sent, s; drives on the robot keep to it.
-        answer: from then until the wheels begin to answer it, and how old readings are when they
-            are asked for, s.
-        lag: of the left and of the right wheel, s.
+        hold: time from the request for the readings to sending their command, s; drives on the
+            robot keep it.
+        answer: time from then until the wheels begin to answer, plus the age of the readings, s.
+        lag: time constants of the left and the right wheel, s.
 
     Raises:
-        UserError: if one of them is not a time of 0 to 1 s.
+        UserError: if one of them is not between 0 and 1 s.
     """
 
     hold: Delay = 0.0
@@ -36,7 +35,7 @@ class Reaction(Checked):
 
     @property
     def delay(self) -> float:
-        """From a reading to when the wheels begin to answer it, s."""
+        """Time from a reading until the wheels begin to answer it, s."""
         return self.hold + self.answer
 
     def to_json(self) -> dict[str, Any]:
@@ -48,6 +47,6 @@ class Reaction(Checked):
         """Return the delays from the content of :meth:`to_json`.
 
         Raises:
-            UserError: if something is no time of 0 to 1 s.
+            UserError: if a value is not between 0 and 1 s.
         """
         return cls(**{**content, "lag": tuple(content.get("lag", (0.0, 0.0)))})

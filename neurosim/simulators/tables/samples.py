@@ -5,11 +5,11 @@ A header ``sensors angles distances first-distance-mm distance-step-mm``; for ea
 last line ``END``. Lines end in CR LF, and the header and every line of activations in a space
 before that. It is the format of the evorobot family of simulators.
 
-Distances are from the robot's rim to the object's surface. In row 0 the object is straight ahead;
-from row to row the robot has turned further to its left (counter-clockwise), by a full turn over
-the number of angles, so that the object is seen further to its right. In the published samples of
-a Khepera this is what its manual's order of sensors asks for: 0 to 5 from left to right in front,
-6 behind to the right, 7 behind to the left.
+Distances are from the robot's rim to the object's surface. In row 0 the object is straight ahead.
+From row to row the robot turns to its left (counter-clockwise), by a full turn over the number of
+angles, so that the object moves to its right. With the published samples of a Khepera this fits the
+manual's order of sensors: 0 to 5 from left to right in front, 6 behind to the right, 7 behind to
+the left.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Samples:
         activations: (D, A, S) in 0..1, distance x angle x sensor.
         first_distance: from rim to surface, m.
         distance_step: between distances, m.
-        line_end: of the file's lines; those of the published ones are CR LF.
+        line_end: end of the file's lines; CR LF in the published ones.
     """
 
     activations: NDArray[np.float64]
@@ -47,7 +47,7 @@ class Samples:
 
         Raises:
             FileError: naming the line, if the file is missing or cut short, or has a wrong
-                header, a wrong count of lines or numbers, or something that is no activation.
+                header, a wrong number of lines or numbers, or a value that is not an activation.
         """
         text = files.read_text(path, "a .sample file", encoding="ascii")
         line_end = "\r\n" if "\r\n" in text or "\n" not in text else "\n"
@@ -79,7 +79,7 @@ class Samples:
         """Write a file, whole or not at all; activations to six decimals, or as many as needed.
 
         Raises:
-            ValueError: if an activation is not in 0 to 1, so that no reader would take the file.
+            ValueError: if an activation is not in 0 to 1, so that the file could not be read.
         """
         distances, angles, sensors = self.activations.shape
         if not ((self.activations >= 0) & (self.activations <= 1)).all():
@@ -94,16 +94,16 @@ class Samples:
 
 
 def as_evorobotpy2(samples: Samples, *, cylinder: bool) -> Samples:
-    """Return samples as the simulator evorobotpy2 reads them.
+    """Return samples in the interpretation of the simulator evorobotpy2.
 
-    It takes the rows the other way round (an object in row k is further to the robot's left), and
-    it has a cylinder's samples at distances that are twice the first one nearer than the file says:
-    10 mm of the published ones. Beyond the last sampled distance the last row stands.
+    It uses the rows in the opposite order (an object in row k is further to the robot's left). It
+    uses a cylinder's samples at distances that are smaller by twice the first one, 10 mm in the
+    published ones. Beyond the last sampled distance it uses the last row.
 
     Source: S. Nolfi, evorobotpy2, ``updateInfraredSensor`` in lib/robot-env.cpp.
 
     Args:
-        samples: as they were read.
+        samples: as in their file.
         cylinder: whether they are of a cylinder.
     """
     rows = np.roll(samples.activations[:, ::-1], 1, axis=1)
@@ -168,5 +168,5 @@ def _activation(value: float) -> str:
 
 
 def _plain(millimetres: float) -> str:
-    """Return a length without the dust that dividing by 1000 leaves."""
+    """Return a length without the rounding errors of a division by 1000."""
     return f"{millimetres:.9g}"

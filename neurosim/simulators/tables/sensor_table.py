@@ -1,9 +1,9 @@
 """A sensor table: readings of every sensor by kind of object, distance and angle.
 
-A kind has a name, which is part of a ``.sample`` file's, too: ``wall``, a straight one; ``light``;
-``cylinder``, a round obstacle as large as that of Lund and Miglino 1996, or ``cylinder-12.5mm``,
-one of another radius. Proximity sensors see walls and cylinders, which are in one table; sensors
-of ambient light see lights, which have a table of their own.
+A kind has a name, which is also part of a ``.sample`` file's name: ``wall``, a straight one;
+``light``; ``cylinder``, a round obstacle of the size in Lund and Miglino 1996, or
+``cylinder-12.5mm``, one of another radius. Proximity sensors see walls and cylinders, which are in
+one table; sensors of ambient light see lights, which have a table of their own.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from neurosim.simulators.tables.samples import Samples, as_evorobotpy2
 WALL, CYLINDER, LIGHT = "wall", "cylinder", "light"
 #: The kinds of a usual table.
 OBJECTS = (WALL, CYLINDER)
-#: Radius of a cylinder without one in its name (the paper's is 5.5 cm across), and of the small one
-#: of the evorobot simulators, m.
+#: Radius of a cylinder without one in its name (the paper's diameter is 5.5 cm), and of the small
+#: one of the evorobot simulators, m.
 OBSTACLE, SMALL = 0.0275, 0.0125
 #: Names of a cylinder in the evorobot simulators, and of a small one.
 _ROUND, _SMALL = ("cylinder", "round"), ("scylinder", "sround")
-#: Repeats of one object are as bright as each other but for noise and the robot's placing: 2 %
-#: apart in the virtual lab, where an obstacle of half the size is 35 % darker.
+#: Largest difference in brightness between repeats of one object. In the virtual lab it is 2 %, by
+#: noise and the robot's placing; an obstacle of half the size is 35 % darker.
 ALIKE = 1.2
-#: How the rows and distances of ``.sample`` files are read.
+#: Interpretations of the rows and distances of ``.sample`` files.
 Convention = Literal["neurosim", "evorobotpy2"]
 
 
@@ -43,7 +43,7 @@ def cylinder(radius: float) -> str:
 
 
 def radius_of(kind: str) -> float:
-    """Return the radius of objects of a kind, m; that of a wall or a light is 0."""
+    """Return the radius of objects of a kind, m; 0 for a wall or a light."""
     if not kind.startswith(CYLINDER):
         return 0.0
     _, _, millimetres = kind.partition("-")
@@ -51,7 +51,7 @@ def radius_of(kind: str) -> float:
 
 
 def is_kind(name: str) -> bool:
-    """Return whether there are objects of this kind."""
+    """Return whether a text is the name of a kind."""
     try:
         return name in (WALL, LIGHT) or name == cylinder(radius_of(name)) != cylinder(0.0)
     except ValueError:
@@ -59,10 +59,10 @@ def is_kind(name: str) -> bool:
 
 
 def kind_of(path: str | Path) -> str:
-    """Return the kind of object that a ``.sample`` file is named after.
+    """Return the kind of object in a ``.sample`` file's name.
 
     Raises:
-        UserError: if its name names none, or two.
+        UserError: if the name contains no kind, or two.
     """
     stem = Path(path).stem.lower()
     classes = {WALL: (WALL,), CYLINDER: _ROUND, LIGHT: (LIGHT,)}
@@ -86,8 +86,7 @@ class SensorTable:
 
     Attributes:
         mean: (K, D, A, S) means over repeats.
-        spread: (K, D, A, S) standard deviations of a single reading, or None where nothing was
-            sampled twice.
+        spread: (K, D, A, S) standard deviations of a single reading, or None without repeats.
         first_distance: the smallest, from the robot's rim to the surface, m.
         distance_step: between distances, m.
         kinds: names of the kinds [K]: the wall and then cylinders, or a light alone.
@@ -124,7 +123,7 @@ class SensorTable:
 
     @property
     def ambient(self) -> NDArray[np.float64]:
-        """Each sensor's reading with nothing near, [S].
+        """Each sensor's reading without near objects, [S].
 
         The median over all angles and kinds at the largest distance: at most angles a sensor
         looks past the object.
@@ -133,13 +132,13 @@ class SensorTable:
 
     @property
     def ambient_spread(self) -> NDArray[np.float64]:
-        """Its standard deviation [S], found in the same way; zero without repeats."""
+        """Standard deviation of these readings [S], in the same way; zero without repeats."""
         if self.spread is None:
             return np.zeros(self.mean.shape[-1])
         return np.median(self.spread[:, -1], axis=(0, 1))
 
     def bearings(self, kind: int = 0) -> NDArray[np.float64]:
-        """Return where each sensor looks, [S] rad to the left; NaN where it sees nothing.
+        """Return each sensor's direction, [S] rad to the left; NaN for one that sees nothing.
 
         The mean bearing at which it sees an object at the first distance, each weighted with the
         reading above ambient: a near object saturates a sensor over a wide angle.
@@ -154,14 +153,14 @@ class SensorTable:
 
     @classmethod
     def from_samples(cls, samples: Mapping[str, Sequence[Samples]]) -> SensorTable:
-        """Make a table of repeated samples of each kind of object.
+        """Make a table from repeated samples of each kind of object.
 
         Args:
             samples: name of the kind -> repeats, at least one each.
 
         Raises:
             UserError: if the wall or a cylinder is missing, samples differ in their distances,
-                angles or sensors, or those of one kind are not of one object.
+                angles or sensors, or repeats are of different objects.
         """
         kinds = tuple(sorted(filter(samples.get, samples), key=_order))
         if kinds != (LIGHT,):
@@ -199,16 +198,16 @@ class SensorTable:
     def from_files(
         cls, paths: Sequence[str | Path], convention: Convention = "neurosim"
     ) -> SensorTable:
-        """Make a table of ``.sample`` files; the kind of object is part of each file's name.
+        """Make a table from ``.sample`` files; the kind of object is part of each file's name.
 
         Args:
             paths: of the files.
-            convention: how their rows and distances are read, see
+            convention: interpretation of their rows and distances, see
                 :func:`~neurosim.simulators.tables.samples.as_evorobotpy2`.
 
         Raises:
             FileError: if a file is wrong.
-            UserError: as :func:`kind_of` and :meth:`from_samples`.
+            UserError: see :func:`kind_of` and :meth:`from_samples`.
         """
         samples: dict[str, list[Samples]] = {}
         for path in paths:
@@ -225,7 +224,7 @@ def _order(kind: str) -> tuple[bool, float]:
 
 
 def _brightness(samples: Samples) -> float:
-    """Return the sum of what the sensors read beyond the largest distance's median."""
+    """Return the sum of the readings above the median at the largest distance."""
     readings = samples.activations
     return float(np.maximum(readings - np.median(readings[-1], axis=0), 0.0).sum())
 

@@ -1,22 +1,21 @@
 """The table simulator: a robot that samples its own sensors and motors, and moves in an arena.
 
-Lund and Miglino 1996: the sensors' readings in front of a wall and of an obstacle, and how the
-motors move the robot, is looked up in tables that the robot filled itself. Obstacles may have been
-sampled in several sizes: one of another size looks like that of the nearest. Sensors of ambient
-light have a table of their readings in front of a light.
+Lund and Miglino 1996: the sensors' readings in front of a wall and of an obstacle, and the motion
+by the motors, are looked up in tables that the robot filled itself. Obstacles may be sampled in
+several sizes: one of another size looks like the one of the nearest size. Sensors of ambient light
+have a table of their readings in front of a light.
 
-Readings. Obstacles, and all walls together, add what the table says above ambient, at the
-distance from the robot's rim to the nearest point of a surface and the bearing of that point,
-interpolated between samples in both; the sum is clipped to 0..1, as a sensor saturates. Samples
-are of a wall that does not end: a sensor reads what it would before such a wall alone, so far
-away that it throws back as much light as the walls do (Lambert's law). Nearer than the first
-sampled distance the first counts; beyond the last a reading fades to ambient over half of the
-sampled reach. Objects behind a wall are not seen. Lights add up in the same way; obstacles hide
-them, too. The whole robot is in the shade if its middle is.
+Readings. Each obstacle, and all walls together, add the table's reading above ambient. It is
+interpolated at the distance from the robot's rim to the nearest point of a surface and the bearing
+of that point; the sum is clipped to 0..1, because a sensor saturates. Samples are of an endless
+wall: several walls count as one endless wall at the distance at which it reflects as much light as
+they do (Lambert's law). Nearer than the first sampled distance the first counts; beyond the last a
+reading fades to ambient over half of the sampled reach. Objects behind a wall are not seen. Lights
+add up in the same way; obstacles hide them, too. The whole robot is in the shade if its middle is.
 
-Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
-straight out of it, so that it slides along; where it does not fit, as in a gap that is too
-narrow, it stays. Its heading turns as the motors say.
+Collisions. The robot is a disc. If a motion ends in a wall or an obstacle, the disc is moved
+straight out of it, so that it slides along. If it does not fit there, as in a narrow gap, it keeps
+its position. Its heading follows the motors.
 """
 
 from __future__ import annotations
@@ -52,19 +51,19 @@ from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import LIGHT, SensorTable, is_kind
 
-#: The oldest version that is read: earlier tables had an arena.
+#: Oldest version that can be read: earlier tables had an arena.
 _OLDEST = 8
 #: Senses, and the names of their readings.
 SENSES = {"proximity": "sensor", "light": "light"}
-#: An obstacle is of another size than the sampled ones if its radius differs by more than this, m.
+#: Difference of radius above which an obstacle counts as another size than the sampled ones, m.
 SAME_SIZE = 0.0005
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
 #: Radius of a Khepera, m.
 RADIUS = 0.0275
-#: Readings above ambient that count as none: half a percent of the range.
+#: Reading above ambient that counts as zero: half a percent of the range.
 FAINTEST = 0.005
-#: Duration of a step of which uniform noise is a fraction of the range, s.
+#: Duration of a step for which uniform noise is a fraction of the range, s.
 STEP = 0.1
 
 
@@ -74,17 +73,17 @@ class TableSimulator(Simulator):
 
     Attributes:
         sensors: readings of walls and obstacles.
-        motors: how the motors move the robot.
-        place: where it moves.
+        motors: motion by the motors.
+        place: the place around the robot.
         radius: of the robot, m.
-        reaction: how late the robot answers a command.
-        noise: one of :data:`NOISES`, drawn only where a generator is given.
+        reaction: delays of the robot.
+        noise: one of :data:`NOISES`, drawn only from a given generator.
         noise_level: half width of uniform noise: a fraction of 1 for every sensor, and of the
             largest displacement in 100 ms forward, sideways and in heading. Over other durations
             a displacement's noise grows with the square root.
-        meta: what else simulator.json says.
+        meta: other parts of simulator.json.
         lights: readings of a light by sensors of ambient light; None: it has no such sensors.
-        senses: those of :data:`SENSES` that are read, where there is a table of them.
+        senses: those of :data:`SENSES` that are read, if they have a table.
     """
 
     kind = "tables"
@@ -150,23 +149,23 @@ class TableSimulator(Simulator):
 
     @property
     def noise_width(self) -> int:  # type: ignore[override]
-        """Of every step: one number a sensor, and three for the motion."""
+        """Number of random numbers of a step: one for each sensor, and three for the motion."""
         return len(self.reading_names) + 3
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
-        """The speeds (%) that the motors were sampled at."""
+        """The range of the motors' sampled speeds (%)."""
         levels = float(self.motors.levels[0]), float(self.motors.levels[-1])
         return {"left": levels, "right": levels}
 
     @property
     def bearings(self) -> np.ndarray:
-        """Where the sensors see a wall, or a light, [S] rad to the left."""
+        """Directions of the sensors, [S] rad to the left."""
         return np.concatenate([table.bearings() for table in self._tables.values()])
 
     @property
     def notes(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Which obstacles of the place are not of a sampled size."""
+        """Sentences on obstacles of the place without a sampled size."""
         radii = self.sensors.radii[1:]
         sizes = sorted({radius for _, _, radius in self.place.obstacles})
         notes = []
@@ -191,11 +190,11 @@ class TableSimulator(Simulator):
         }
 
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return random poses [count, 3] where the robot touches nothing."""
+        """Return random poses [count, 3] at which the robot touches nothing."""
         return self.place.free_poses(count, self.radius, rng)
 
     def elsewhere(self, count: int, seed: int) -> Simulator:
-        """Return this simulator in ``count`` other arenas, drawn from a seed."""
+        """Return this simulator in ``count`` other arenas, random from a seed."""
         return ManyArenas(self, count, seed)
 
     def touching(self, poses: np.ndarray) -> np.ndarray:
@@ -220,7 +219,7 @@ class TableSimulator(Simulator):
     ) -> Tensor:
         """Return the states [B, 7] after ``command`` [B, 3] (%, %, s); see the module.
 
-        Noise is drawn only where a generator is given, or made of the last three of the numbers
+        Noise is drawn only from a given generator, or computed from the last three of the numbers
         ``z`` [B, noise_width].
         """
         t, a = self._tensors, self.arrays
@@ -258,7 +257,7 @@ class TableSimulator(Simulator):
     ) -> Tensor:
         """Return the readings [B, S] in 0..1 of robots in ``state`` [B, 7], or at poses [B, 3].
 
-        Noise is drawn only where a generator is given, or made of the first S of the numbers
+        Noise is drawn only from a given generator, or computed from the first S of the numbers
         ``z`` [B, noise_width].
         """
         means, variances = [], []
@@ -362,7 +361,7 @@ class TableSimulator(Simulator):
         }
 
     def _numbers(self, like: Tensor, generator: torch.Generator | None) -> Tensor:
-        """Draw numbers for noise, of the shape of something."""
+        """Draw random numbers for noise, in a given shape."""
         options: dict[str, Any] = {"dtype": like.dtype, "device": like.device}
         if self.noise == "uniform":
             return 2.0 * torch.rand(like.shape, generator=generator, **options) - 1.0
@@ -371,7 +370,7 @@ class TableSimulator(Simulator):
     def _objects(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return vectors to nearest points [B, K, 2], distances [B, K] from rim and kinds [K].
 
-        Of an obstacle the vector is to its centre.
+        For an obstacle the vector is to its centre.
         """
         walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
         centre = state[:, None, :2]
@@ -403,9 +402,9 @@ class TableSimulator(Simulator):
         return weights * fade, torch.stack([r, r + 1]), torch.stack([c, c + 1])
 
     def _seen(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return how far and at which bearing each sensor sees what, [B, 1 + N, S], and kinds.
+        """Return distance and bearing of the objects for each sensor, [B, 1 + N, S], and kinds.
 
-        All walls are the first, obstacles the others; what it does not see is infinitely far. See
+        The first object is all walls, the others are obstacles; unseen ones are infinitely far. See
         the kernels ``_sense`` and ``_add_walls``.
         """
         t, reaches = self._tensors, self._lookups["proximity"]["reach"]
@@ -418,7 +417,7 @@ class TableSimulator(Simulator):
             each[:, len(walls) :, None].expand(-1, -1, len(sensors)) for each in (distance, bearing)
         )
         to, bearing, distance = (each[:, : len(walls)] for each in (to, bearing, distance))
-        # Which walls are seen, and whether it is one that does not end within reach.
+        # The visible walls, and whether there is a single one without an end within reach.
         middle = state[:, None, :2] - t["walls"][:, :2]
         along = (middle * t["walls"][:, 2:4]).sum(-1)
         before = middle[..., 1] * t["walls"][:, 2] - middle[..., 0] * t["walls"][:, 3]
@@ -426,7 +425,7 @@ class TableSimulator(Simulator):
         visible = torch.isfinite(distance) & (before > 0.0)
         ends = (along <= reach + self.radius) | (along >= t["walls"][:, 4] - reach - self.radius)
         alone = (visible.sum(1) == 1) & ~(visible & ends).any(1)
-        # Of each, the light that it throws back to each sensor, [B, W, S].
+        # The light that each reflects to each sensor, [B, W, S].
         cos, sin = state[:, 2].cos(), state[:, 2].sin()
         turn = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -1)
         looks = (turn @ sensors.T).mT.unsqueeze(1)
@@ -437,7 +436,7 @@ class TableSimulator(Simulator):
         aside = (looks * walls[..., 2:4]).sum(-1)
         light = _light(begin, begin + walls[..., 4], height.clamp(min=NEAREST), ahead, aside)
         light = torch.where((height < -NEAREST) | ~visible.unsqueeze(-1), 0.0, light)
-        # An endless wall straight before that point from which most of it comes.
+        # An endless wall, perpendicular at the brightest point.
         to = to.unsqueeze(2)
         away = to.norm(dim=-1)
         ahead = (looks * to).sum(-1) / away
@@ -460,7 +459,7 @@ class TableSimulator(Simulator):
         return torch.cat([near, first], 1), torch.cat([at, second], 1), kind
 
     def _seen_lights(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return how far and at which bearing lights are, [B, M, 1], and their kind [M].
+        """Return distance and bearing of the lights, [B, M, 1], and their kind [M].
 
         A hidden light is infinitely far. See the kernel ``_sense_light``.
         """
@@ -479,7 +478,7 @@ class TableSimulator(Simulator):
         return distance.unsqueeze(-1), bearing.unsqueeze(-1), kind
 
     def _hidden(self, state: Tensor, to: Tensor) -> Tensor:
-        """Return whether something stands before the nearest point of each object, [B, K]."""
+        """Return whether the nearest point of each object is hidden, [B, K]."""
         hidden = torch.zeros(to.shape[:2], dtype=torch.bool, device=to.device)
         for x, y, ux, uy, length in self._tensors["screens"]:
             off = state[:, None, :2] - torch.stack([x, y])
@@ -493,7 +492,7 @@ class TableSimulator(Simulator):
         return hidden
 
     def _collided(self, before: Tensor, after: Tensor) -> Tensor:
-        """Return the poses [B, 3] of robots that would go from one pose to the other."""
+        """Return the poses [B, 3] after a motion from one pose to another, with collisions."""
         xy, fits = after[:, :2], torch.zeros(len(after), 1, dtype=torch.bool, device=after.device)
         for _ in range(PASSES):
             if fits.all():
@@ -509,7 +508,7 @@ class TableSimulator(Simulator):
         return torch.cat([torch.where(fits, xy, before[:, :2]), after[:, 2:]], dim=1)
 
     def _advanced(self, speeds: Tensor, goal: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the log of the displacement [B, 3] in a time [B, 1] (s) and speeds [B, 2] then."""
+        """Return the log of the displacement [B, 3] in a time [B, 1] (s), and speeds [B, 2]."""
         lag = self._tensors["lag"]
         end = torch.where(time > 0.0, torch.exp(-time / lag), 1.0)
         mean = torch.where(time > 0.0, lag * (1.0 - end) / time, 1.0)
@@ -584,7 +583,7 @@ class TableSimulator(Simulator):
                 shapes[f"{name}_mean"] = (len(about["objects"]), None, None, None)
                 if about.get("repeated"):
                     shapes[f"{name}_spread"] = shapes[f"{name}_mean"]
-        # Compiled loops would be compiled again for numbers of another kind.
+        # Numbers of another type would compile the loops again.
         arrays = {
             name: np.asarray(tensor, np.float64)
             for name, tensor in files.read_tensors(tables, shapes).items()
@@ -633,7 +632,7 @@ class TableSimulator(Simulator):
 
 
 def _lookup(table: SensorTable, read: bool) -> Lookup:
-    """Return a table's numbers; of one that is not read, too."""
+    """Return a table's numbers, also of one that is not read."""
     ambient, variance = table.ambient, table.ambient_spread**2
     spread = np.zeros_like(table.mean) if table.spread is None else table.spread
     _, distances, _, sensors = table.mean.shape
@@ -641,7 +640,7 @@ def _lookup(table: SensorTable, read: bool) -> Lookup:
     fade = last / 2.0
     reach = []
     for kind in table.mean:
-        # So far from the rim objects are seen.
+        # Range of the sensors, from the rim.
         seen = (np.abs(kind - ambient) >= FAINTEST).any(axis=(1, 2))
         rows = len(seen) - int(np.argmax(seen[::-1])) if seen.any() else 0
         whole = rows == len(seen)
@@ -662,8 +661,8 @@ def _lookup(table: SensorTable, read: bool) -> Lookup:
 def _joined(first: Tensor, second: Tensor) -> Tensor:
     """Return the twist [B, 3] of one motion and then another.
 
-    The Baker-Campbell-Hausdorff series to second order; what is left out is below 0.1 mm in a
-    step of 100 ms.
+    It is the Baker-Campbell-Hausdorff series to second order; the error is below 0.1 mm in a step
+    of 100 ms.
     """
     (x1, y1, w1), (x2, y2, w2) = first.unbind(-1), second.unbind(-1)
     bracket = torch.stack([w2 * y1 - w1 * y2, w1 * x2 - w2 * x1, torch.zeros_like(w1)], dim=-1)
@@ -699,7 +698,7 @@ def _directed(walls: np.ndarray) -> np.ndarray:
 
 
 def _filled(table: np.ndarray) -> np.ndarray:
-    """Return numbers [..., S] as float32, zeros behind them up to :data:`LANES`."""
+    """Return numbers [..., S] as float32, filled with zeros up to :data:`LANES`."""
     missing = max(LANES - table.shape[-1], 0)
     wide = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, missing)])
     return np.ascontiguousarray(wide, np.float32)

@@ -1,17 +1,17 @@
-"""The default trainer: a drive model, and a Gaussian process for what it leaves.
+"""The default trainer: a drive model, and a Gaussian process for its residuals.
 
-Three things are learned one after the other:
+Three parts are learned one after the other:
 
 1. the drive model (:mod:`neurosim.training.trainers.drive_fit`): lags, delay, kinematics;
 2. a Gaussian process of its residuals (:mod:`neurosim.training.trainers.gaussian_process`).
    Held-out rows decide for each output how much it counts (stacking: Wolpert 1992, Breiman 1996),
-   so that it counts for nothing where the rows do not support it;
-3. the floor (:mod:`neurosim.training.trainers.floor_fit`), if rows say where the robot was and show
-   one. Drive model and process are then fitted again to what the rows would be without it.
+   so that it does not count if the rows do not support it;
+3. the floor (:mod:`neurosim.training.trainers.floor_fit`), if rows have the robot's poses and show
+one. Drive model and process are then fitted again to the rows without its effect.
 
 Each member of the ensemble learns the first two from rows with random weights (the Bayesian
-bootstrap: Rubin 1981) and from a draw of the process' prior, and has a floor of its own. So members
-differ by all that the rows leave open.
+bootstrap: Rubin 1981) and from a draw of the process' prior, and has its own floor. So the members
+span all remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -46,45 +46,46 @@ from neurosim.training.trainers.gaussian_process import Process, choose_centres,
 from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
 
 OUTPUTS = 3
-#: What can be left out, to see what it is good for.
+#: Parts that can be left out, to measure their effect.
 MECHANISMS = ("laws", "dead_band", "swing", "process", "row_weights", "drive_members", "floor")
-#: Stretches of time, every other one of which makes a half of the rows.
+#: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
-#: How much of the Gaussian process' uncertainty members show even where it counts for nothing.
+#: Part of the Gaussian process' uncertainty that members have even where it does not count.
 UNPROVEN = 0.5
-#: Rows for each unit of the Gaussian process, where there are more than at first.
+#: Rows for each unit of the Gaussian process, beyond the first number of units.
 ROWS_PER_CENTRE = 3
-#: How much a part of a command counts for the noise.
+#: Weight of a part of a command for the noise.
 NOISE_PART = 0.03
-#: With no more rows than this, what a drive model leaves of its own rows is much less than what it
-#: will leave of others.
+#: Number of rows up to which a drive model's residuals on its own rows are much smaller than on
+#: others.
 FEW = 250
-#: Models of halves err more than that of all rows, whose noise is this much of theirs.
+#: Noise of the model of all rows, as a fraction of that of models of halves, which err more.
 OF_HALVES = 0.88
-#: With no more rows than this, their laws are searched for anew in halves: the first search is the
-#: larger part of what is left open (24 rows: 80 % intervals of the turn hold 84 %, else 69).
+#: Number of rows up to which laws are searched again in halves, because the first search is the
+#: larger part of the uncertainty (24 rows: 80 % intervals of the turn contain 84 %, otherwise 69).
 SCARCE = 50
-#: Steps of the fractions that the Gaussian process is tried with.
+#: Number of steps of the tried weights of the Gaussian process.
 _FRACTIONS = 10
 #: If a chord is shorter than this fraction of its arc, its end tells nothing about the speed.
 _LEAST = 1e-3
-#: How far from a reversal, in half turns, what swings round may begin to do so the other way.
+#: Largest distance from a reversal, in half turns, at which a caster may swing to the other side.
 SWINGS = (-0.03, 0.03)
-#: An input for the change of direction must raise the log-likelihood by this much to be believed.
+#: Gain in log-likelihood for accepting an input for the change of direction.
 _BELIEVED = 5.0
-#: Commands that the lengths of the process are found with.
+#: Number of commands for the process' lengths.
 _ROWS = 400
-#: Random commands of which some become centres.
+#: Number of random commands, some of which become centres.
 _RANDOM = 1000
-#: Parts of commands that are shorter than this, s, are not learned from.
+#: Shortest part of a command that is learned from, s.
 _SHORTEST = 0.1
-#: A speed is settled when it is so near.
+#: Difference at which a speed counts as settled.
 _SETTLED = 0.05
-#: Twice as many units of the Gaussian process must lessen the logarithm of the loss by this.
+#: Reduction of the loss's logarithm for accepting twice as many units of the Gaussian process.
 _WORTH = 0.03
-#: The process must lessen the loss by this fraction to count.
+#: Smallest reduction of the loss, as a fraction, for which the process counts.
 _SIMPLER = 0.01
-#: Times that the floor is learned: the second time of a robot that was learned on an even one.
+#: Number of times that the floor is learned; the second time for a robot that was learned on an
+#: even one.
 _PASSES = 2
 #: Ridge of the projection of a member's drive model on units, as a fraction of a unit's square.
 _RIDGE = 1e-6
@@ -139,8 +140,9 @@ class Residuals(NamedTuple):
         x: scaled inputs, [N, I].
         y: displacements, [N, 3].
         given: inputs of the process, [N, J].
-        left: of displacements in the frame of the last piece's middle, [N, 3] (m, m, rad).
-        factor: of each of the process' outputs in that, [N, 3].
+        left: residuals of displacements in the frame of the last piece's middle, [N, 3] (m, m,
+            rad).
+        factor: factor of each of the process' outputs in ``left``, [N, 3].
         weight: of the rows, [N].
     """
 
@@ -214,7 +216,7 @@ class CombinedTrainer:
         return self._leave(fit_drive(self._motion, laws, band))
 
     def _leave(self, fit: Fit) -> Tensor:
-        """Write down what a drive model leaves of the rows; return mean squared errors, [3]."""
+        """Store a drive model's residuals; return mean squared errors, [3]."""
         data, settings = self._data, self._settings
         x, y = data.scaled_inputs, data.y
         self._fit, self._drive = fit, fit.drive
@@ -223,7 +225,7 @@ class CombinedTrainer:
         for places in (self._columns.driven, self._columns.before):
             self._dead_band[list(places)] = fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
-        #: Of which command each row is a part.
+        #: Index of each row's command.
         self._command = torch.arange(len(x))
         if not settings.whole_commands and data.within is not None and len(data.within.row):
             parts, commands = self._parts(rows.x)
@@ -233,9 +235,9 @@ class CombinedTrainer:
         return rows.left[: len(x)].square().mean(0)
 
     def _inputs(self, fit: Fit) -> tuple[Tensor, Underway | None]:
-        """Return the inputs that a drive model makes of the whole rows.
+        """Return a drive model's inputs of the whole rows.
 
-        And where windows are learned from what is under way there, which inputs say only in part.
+        For windows also return the actuators' state there, which the inputs contain only in part.
         """
         if isinstance(self._motion, Chains):
             return self._motion.inputs(fit, self._data.scaled_inputs)
@@ -258,13 +260,13 @@ class CombinedTrainer:
         return Residuals(x, y, x[:, : len(self._data.inputs)], left, factor, weight)
 
     def _parts(self, x: Tensor) -> tuple[Residuals, Tensor]:
-        """Return rows of parts of commands, and the commands that they are of.
+        """Return rows of parts of commands, and the indices of their commands.
 
-        One instant in two tells of the beginning until then, the other of the rest from then on.
+        Alternate instants give the beginning until then, or the rest from then on.
         """
         within, columns = self._data.within, self._columns
         assert within is not None
-        # Of very many, so many that a command still counts in several ways.
+        # A limited number, with several parts for each command.
         stride = -(-len(within.row) // self._settings.most_parts)
         stride += stride > 1 and stride % 2 == 0  # the two kinds take turns
         within = Within(*(part[::stride] for part in within))
@@ -281,7 +283,7 @@ class CombinedTrainer:
         rest[:, len(self._data.inputs) :] = commanded  # it acts already
         rest[:, columns.duration] = left[since] / self._longest
         after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
-        # A rest is like a command of its own only if no command is still waiting.
+        # A rest is like a separate command only if no command is pending.
         alike = ((commanded - speed).abs().amax(1) < _SETTLED) | (time[since] >= self._drive.delay)
         inputs, y = torch.cat([begun, rest[alike]]), torch.cat([moved[until], after[alike]])
         weight = torch.full_like(y[:, 0], self._settings.part_weight)
@@ -291,7 +293,7 @@ class CombinedTrainer:
     # The Gaussian process
 
     def _learn_process(self) -> Tensor:
-        """Learn the process; and the floor, and what the rows say of a robot on an even one."""
+        """Learn the process and the floor, then drive model and process again on an even floor."""
         self._fit_process()
         uneven, once = self._data, torch.ones(1, len(self._data.x), dtype=torch.float64)
         for _ in range(_PASSES):
@@ -313,7 +315,7 @@ class CombinedTrainer:
         return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
 
     def _fit_floor(self, data: TrainingData) -> FloorFit | None:
-        """Learn the floor of what drive model and process leave of whole rows as they were."""
+        """Learn the floor from the residuals of drive model and process on original whole rows."""
         whole = len(data.x)
         if data.start is None or data.joined is not None or "floor" in self._settings.without:
             return None
@@ -365,7 +367,7 @@ class CombinedTrainer:
         return can_swing(self._columns) and "swing" not in self._settings.without
 
     def _trust_of_rows(self) -> Tensor:
-        """Return how much each row counts for each output, [N, 3]."""
+        """Return the weight of each row for each output, [N, 3]."""
         rows = self._rows
         plain = rows.weight.unsqueeze(1).repeat(1, OUTPUTS)
         if "row_weights" in self._settings.without or not rows.left.any():
@@ -376,7 +378,7 @@ class CombinedTrainer:
         """Return inputs of the process [M, J] of random commands after random speeds."""
         x = self._rows.x[:, : len(self._data.inputs)]
         low, high = x.amin(0), x.amax(0)
-        # What went one way only may go the other.
+        # An input with one sign may have the other.
         for places in (self._columns.driven, self._columns.before):
             size = torch.maximum(low.abs(), high.abs())[list(places)]
             low[list(places)], high[list(places)] = -size, size
@@ -384,7 +386,7 @@ class CombinedTrainer:
         return low + (high - low) * uniform
 
     def _judged(self, process: Process) -> _Judged:
-        """Return a process with what half of the rows say of the other half by it."""
+        """Return a process with its predictions for each half of the rows from the other half."""
         rows, units = self._rows, process.units(self._rows.given)
         outputs = torch.zeros(2, OUTPUTS, len(units), dtype=torch.float64)
         for number, seen in enumerate((self._half, ~self._half)):
@@ -400,8 +402,8 @@ class CombinedTrainer:
 
         Args:
             output: its number.
-            weight: what each row's weight is multiplied by, [N].
-            off: what is known of the output at each row already, [N].
+            weight: factor of each row's weight, [N].
+            off: known part of the output at each row, [N].
         """
         rows, best = self._rows, self._best
         factor, left = rows.factor[:, output], rows.left[:, output]
@@ -410,16 +412,16 @@ class CombinedTrainer:
 
     @property
     def _half(self) -> Tensor:
-        """Which rows the first half is, [N]: stretches of time, parts with their commands."""
+        """Whether rows are in the first half, [N]: stretches of time, parts with their commands."""
         whole = len(self._data.x)
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
     def _of_other_half(self, outputs: Tensor) -> Tensor:
-        """Return displacements [N, 3] of whole rows by drive models of the half they are not in.
+        """Return displacements [N, 3] of whole rows by drive models of the other half.
 
         Args:
-            outputs: outputs of the process [N, 3] that has not seen the rows either.
+            outputs: outputs [N, 3] of the process, which has not seen the rows either.
         """
         half, means = self._half[: len(outputs)], []
         seen = torch.stack([~half, half]).to(outputs)
@@ -436,9 +438,9 @@ class CombinedTrainer:
         return torch.where(half[:, None], *means)
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
-        """Return how much the process counts for each output, [3].
+        """Return the weight of the process for each output, [3].
 
-        And the mean logarithm of the outputs' losses on held-out rows.
+        Also return the mean logarithm of the outputs' losses on held-out rows.
         """
         rows, count = self._rows, None
         judged = [
@@ -457,9 +459,9 @@ class CombinedTrainer:
     def _composed(
         self, outputs: Tensor, left: Tensor, factor: Tensor, windows: Windows
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return an output in windows of whole rows, as it is in rows: arguments of _fraction.
+        """Return an output in windows of whole rows, as arguments of _fraction.
 
-        A row adds as much to the turn of a window, and nearly to its path, as to its own.
+        A row adds the same to the turn of a window, and nearly to its path, as to its own.
         """
         both = torch.stack([factor * outputs, left])[:, : len(self._data.x)]
         until = torch.cat([torch.zeros_like(both[:, :1]), both.cumsum(1)], 1)
@@ -530,13 +532,13 @@ class CombinedTrainer:
         return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
 
     def _noise(self, simulator: MotionNetwork, unseen: Tensor) -> NoiseModel:
-        """Learn the noise, which holds what halves of the rows leave open too.
+        """Learn the noise, which includes the uncertainty of halves of the rows.
 
-        Members do not show that: they are alike in their mistakes.
+        Members do not show it, because their mistakes are similar.
 
         Args:
             simulator: without noise.
-            unseen: outputs of the process [N, 3] that has not seen a row.
+            unseen: outputs [N, 3] of the process for rows that it has not seen.
         """
         rows, whole = self._rows, len(self._data.x)
         moved = rows.y.clone()
@@ -549,7 +551,7 @@ class CombinedTrainer:
         else:
             some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
             mean = simulator.from_outputs(unseen[some], rows.x[some])
-        # Noise of the parts of a command is the same noise again.
+        # The parts of a command repeat the same noise.
         weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
         noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight)
         return noise.times(OF_HALVES) if few else noise
@@ -557,7 +559,7 @@ class CombinedTrainer:
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
 
-        Rows that are shorter than a window are weighted together: their errors are alike.
+        Rows that are shorter than a window are weighted together, because their errors are similar.
         """
         time = self._data.x[:, self._columns.duration]
         block = torch.arange(len(time))
@@ -570,9 +572,9 @@ class CombinedTrainer:
         return (weights / weights.mean(1, keepdim=True))[:, block].to(self._rows.x)
 
     def _changes(self, random: Tensor, generator: torch.Generator) -> Tensor:
-        """Return by what outputs members' drive models differ from the mean's, [M, 3, 1 + J + K].
+        """Return how members' drive models differ from the mean's in outputs, [M, 3, 1 + J + K].
 
-        They are weights of one, of inputs and of units of the process: what these say best.
+        They are the best weights of one, of inputs and of units of the process.
 
         Args:
             random: weights of rows, [M, N].
@@ -611,14 +613,14 @@ class CombinedTrainer:
 
     @staticmethod
     def _units_of(given: Tensor, units: Tensor) -> Tensor:
-        """Return one, inputs [N, J] and units [N, K] side by side."""
+        """Return one, inputs [N, J] and units [N, K] as columns."""
         return torch.cat([torch.ones_like(given[:, :1]), given, units], 1)
 
     def _composition(self) -> dict[str, Any]:
         """Return the parts of the simulator in words."""
         drive, names = self._drive, [entry["name"] for entry in self._data.inputs]
         driven = [names[place] for place in self._columns.driven]
-        # Of two commands each way: a static curve need not be steady.
+        # For two commands in each direction, because a static curve need not be steady.
         commands = {"full_back": -1.0, "half_back": -0.5, "half": 0.5, "full": 1.0}
         every = torch.ones(len(driven), dtype=torch.float64)
         reached = {f"speed_at_{name}": drive.shaped(u * every) for name, u in commands.items()}
@@ -652,19 +654,19 @@ def _on_even_floor(data: TrainingData, floor: Floor) -> TrainingData:
 
 
 def _moved(rows: Motion, data: TrainingData) -> Motion:
-    """Return rows with the displacements of data, if they know those within commands too."""
+    """Return rows with the displacements of data, also within commands if these are known."""
     within = None if rows.within is None else data.within
     return replace(rows, y=data.y.to(rows.y), within=within)
 
 
 class _Judged(NamedTuple):
-    """A Gaussian process and what held-out rows say of it.
+    """A Gaussian process and its results on held-out rows.
 
     Attributes:
-        process: itself.
+        process: the process.
         units: of the rows, [N, K].
-        unseen: what the half of the rows that a row is not in says of it, [3, N].
-        fractions: how much the process counts for each output, [3].
+        unseen: predictions for each row from the other half of the rows, [3, N].
+        fractions: weight of the process for each output, [3].
         loss: the mean logarithm of the outputs' losses.
     """
 
@@ -702,15 +704,15 @@ def _fraction(
     allowed: bool,
     count: float | None = None,
 ) -> tuple[float, float]:
-    """Return how much a process counts, 0..1, and the loss.
+    """Return the weight of a process, 0..1, and the loss.
 
     Args:
-        outputs: outputs of read-outs that had not seen the row, [N].
+        outputs: outputs of read-outs for unseen rows, [N].
         left, factor: targets of the output and its factor in them, [N].
-        trust: how much rows count, [N].
+        trust: weights of the rows, [N].
         allowed: whether it may count.
-        count: how many independent rows these are worth; then it counts only if it lessens the loss
-            by more than its standard error (Breiman et al. 1984).
+        count: equivalent number of independent rows; if given, the process counts only if it
+            reduces the loss by more than its standard error (Breiman et al. 1984).
     """
     best, least = 0.0, math.inf
     root = trust.sqrt()
@@ -719,9 +721,9 @@ def _fraction(
     for step in range(_FRACTIONS + 1 if allowed else 1):
         fraction = step / _FRACTIONS
         error = ((left - factor * fraction * outputs) * root).abs()
-        # Huber's loss: rows that nobody foresees do not decide.
+        # Huber's loss, so that unpredictable rows do not decide.
         loss = torch.where(error < corner, error.square(), corner * (2 * error - corner))
-        # Nothing at all is preferred to what is not better.
+        # Without an improvement the process does not count.
         value = loss.mean().item() * (1.0 + _SIMPLER * (step > 0))
         if count is not None and step == 0:
             without = loss

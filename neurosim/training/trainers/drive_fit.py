@@ -1,15 +1,14 @@
-"""Finding the drive model that rows are best explained by.
+"""The search for the drive model that fits rows best.
 
-Given the actuators' laws, the displacement is linear in the kinematics: first the turn, then, the
-turn taken as measured, the translation. The laws themselves are a few numbers for each actuator,
-searched for by the method of Levenberg (1944) and Marquardt (1963), with the kinematics fitted
-again at each step (Golub and Pereyra 1973). Errors are taken to be distributed as Student's t
-(Lange, Little and Taylor 1989), because a drive model leaves large ones. Parameters that rows
-hardly determine keep to usual values: a weak prior on every law, and on the products in the
-kinematics.
+With given laws of the actuators, the displacement is linear in the kinematics: first the turn, then
+the translation with the measured turn. The laws are a few numbers for each actuator. The method of
+Levenberg (1944) and Marquardt (1963) searches them, and the kinematics are fitted again at each
+step (Golub and Pereyra 1973). Errors are assumed to have Student's t distribution (Lange, Little
+and Taylor 1989), because a drive model has large ones. Parameters that rows hardly determine stay
+near usual values: a weak prior on every law, and on the products in the kinematics.
 
-Laws are compared many at a time: P of them are a tensor [P, L, C], and leave errors [P, N]. How
-far they come is computed by the compiled functions that simulators step with.
+Many laws are compared at a time: P of them are a tensor [P, L, C], with errors [P, N]. Distances
+are computed by the compiled functions of simulators.
 """
 
 from __future__ import annotations
@@ -42,33 +41,33 @@ from neurosim.simulators.motion.network import chain
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 
-#: Rows that the laws are searched with.
+#: Number of rows for the search of the laws.
 _ROWS = 600
 #: The coarse search: laws shared by all actuators.
 _LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4)
 _RATES = (0.5, 1.0, 2.0, 4.0, 20.0)
 _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
-#: The fine search starts from the best of the coarse one at so many rates.
+#: Number of rates at which the fine search starts from the best of the coarse one.
 _STARTS = 2
-#: It ends after so many steps, or when one gains less in log-likelihood.
+#: Largest number of its steps, and gain in log-likelihood at which it ends.
 _STEPS, _GAIN = 40, 0.05
-#: Of other weights or dead bands it begins near, and takes no more steps than this.
+#: Largest number of steps with other weights or dead bands, from a near start.
 _AGAIN = 3
-#: The widest dead band, as a fraction of the largest command, and how many sizes are tried at once.
+#: Widest dead band, as a fraction of the largest command, and number of sizes tried at once.
 _WIDEST, _TRIED = 0.5, 24
-#: So many models are computed together.
+#: Number of models that are computed together.
 _TOGETHER = 32
-#: A dead band must raise the log-likelihood by this much to be believed.
+#: Gain in log-likelihood for accepting a dead band.
 _BELIEVED = 3.0
-#: Losses in curves must raise it by this times what a delay must.
+#: Factor of the gain for accepting losses in curves over that for a delay.
 _LOST = 1.5
 #: Derivatives are differences over this fraction of a prior's width; steps are at most this long.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
-#: How much steps are damped, at first, at least and at most, and by which factors that changes.
+#: Damping of steps: first, smallest and largest value, and the factors of its change.
 _DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
-#: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
-#: gets), of slowing, of braking over slowing, and of the rate; stick (s), the static curve, and the
-#: delay (s). What is usual, how far from it, and limits.
+#: The searched parameters: logarithms of the sum of lag and delay (which alone determines the
+#: distance), of slowing, of braking over slowing, and of the rate; stick (s), the static curve, and
+#: the delay (s). Usual values, their spread, and limits.
 _TOTAL, _SLOWING, _BRAKING, _RATE, _STICK, _CURVE, _DELAY = *range(6), 5 + CURVES
 _USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, *[0.0] * CURVES, 0.0)
 _WIDTH = (1.0, 0.5, 0.5, 1.5, 0.02, *[0.15] * 3, *[0.1] * 3, 0.08)
@@ -83,23 +82,23 @@ _LOWEST = (
     0.0,
 )
 _HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
-#: Products count, before rows say more, for no more than this fraction of what is to be explained.
+#: Prior part of products in the target, as a fraction.
 _PRODUCTS = 0.05
-#: Degrees of freedom of errors, and where Huber's loss begins to be linear.
+#: Degrees of freedom of errors, and error from which Huber's loss is linear.
 FREEDOM, _HUBER = 2.0, 1.345
-#: Steps of iteratively reweighted least squares.
+#: Number of steps of iteratively reweighted least squares.
 REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
 _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
 _AT_ONCE[_TOTAL], _AT_ONCE[_RATE] = _LOWEST[_TOTAL], _HIGHEST[_RATE]
 
 
-#: Pieces of constant twist of a command: while the one before it acts, and of its own.
+#: Number of pieces of constant twist of a command: while the previous one acts, and its own.
 _PIECES = PHASES + PHASES + 1
 
 
 class Actuators(NamedTuple):
-    """The actuators of P drive models, [P, C], or of one, [C], as compiled functions take them."""
+    """The actuators of P drive models, [P, C], or of one, [C], for compiled functions."""
 
     driven: NDArray  #: [C] their numbers
     input_scale: NDArray  #: [C] ones, as commands are scaled
@@ -114,7 +113,7 @@ class Actuators(NamedTuple):
 
     @classmethod
     def of(cls, laws: Tensor, band: Tensor) -> Actuators:
-        """Return those of laws [P, L, C] with dead bands [C] or [P, C]."""
+        """Return the actuators for laws [P, L, C] with dead bands [C] or [P, C]."""
         total, slowing, braking, rate = laws[:, : _RATE + 1].exp().unbind(1)
         delay, stick = laws[:, _DELAY, :1], laws[:, _STICK]
         lag = (total - delay).clamp(min=_SHORTEST)
@@ -128,7 +127,7 @@ class Actuators(NamedTuple):
         return np.zeros(len(self.driven)) if given is None else given.numpy()
 
     def one(self, number: int) -> Actuators:
-        """Return those of one of the models."""
+        """Return the actuators of one of the models."""
         return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
 
 
@@ -139,12 +138,12 @@ def _distances(a, turning, before, commanded, time, follows, row, until, feature
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
-        before: the command before each, [N, C].
+        before: the previous command of each, [N, C].
         commanded: the commands, [N, C].
         time: durations, [N] s.
-        follows: whether a row's command followed that of the row before it, [N].
-        row: of each instant within a command the row, [L], ascending.
-        until: and the time since it began, [L] s.
+        follows: whether a row's command followed that of the previous row, [N].
+        row: row of each instant within a command, [L], ascending.
+        until: time of each instant since the row began, [L] s.
         features: [_PIECES, K, N], zeros, written.
         within: [_PIECES, K, L], zeros, written: of the commands until these instants.
     """
@@ -170,8 +169,8 @@ def _cut(a, turning, begins, goals, time, law, distance, reached, features):
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         begins: speeds, [C].
-        goals: that act until the delay has passed, and then, [2, C].
-        time: that it lasts, s.
+        goals: goals that act before and after the delay, [2, C].
+        time: its duration, s.
         law: [C, _LAW] scratch.
         distance: [C] scratch.
         reached: [2 C], written: speeds and pushes at the end.
@@ -212,7 +211,7 @@ def products_and_losses(turning, time, count, terms):
 
     Args:
         turning: as in DriveModel, [C].
-        time: that the distances took, s.
+        time: duration of the distances, s.
         count: C.
         terms: [K], distances of actuators first; written from there on. Without the last C there
             are no losses.
@@ -229,16 +228,16 @@ def products_and_losses(turning, time, count, terms):
 
 @dataclass(frozen=True)
 class Motion:
-    """Rows as the drive model takes them.
+    """Rows in the form for the drive model.
 
     Attributes:
         x: scaled inputs before the static curve, [N, I].
         y: displacements, [N, 3].
-        follows: whether a row's command followed that of the row before, [N].
+        follows: whether a row's command followed that of the previous row, [N].
         columns: of the inputs.
-        longest: what durations are scaled by, s.
-        within: poses within the commands, where they are known, in the order of the rows.
-        weight: what each row counts, [N]; None: all alike.
+        longest: scale of durations, s.
+        within: poses within the commands, if known, in the order of the rows.
+        weight: weights of the rows, [N]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
     """
 
@@ -275,7 +274,7 @@ class Motion:
         return self.x[:, list(self.columns.driven)]
 
     def inputs(self, fit: Fit) -> Tensor:
-        """Return the inputs that a drive model makes of the rows, see :func:`chain`."""
+        """Return a drive model's inputs of the rows, see :func:`chain`."""
         x = self.x.clone()
         for places in (self.columns.driven, self.columns.before):
             x[:, list(places)] = fit.drive.shaped(outside(x[:, list(places)], fit.band))
@@ -284,7 +283,8 @@ class Motion:
     def distances(self, actuators: Actuators) -> tuple[Tensor, Tensor]:
         """Return the features of the twists of pieces of each model's commands.
 
-        Of whole rows, [P, pieces, K, N], and until the poses within them, [P, pieces, K, L].
+        They are for whole rows, [P, pieces, K, N], and until the poses within them, [P, pieces, K,
+        L].
         """
         x, columns, within = self.x, self.columns, self.within
         if within is None:
@@ -304,17 +304,17 @@ class Motion:
         return features[0], features[1]
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
-        """Return the best kinematics of each model, and the errors that they leave."""
+        """Return the best kinematics of each model, and their errors."""
         return _fitted(actuators, self)
 
 
 class Errors(NamedTuple):
-    """Errors of one kind that P models leave.
+    """Errors of one kind, of P models.
 
     Attributes:
         error: [P, N].
-        size: what they are like, robustly, [P, 1].
-        weight: what each counts, [N] or [].
+        size: robust size of the errors, [P, 1].
+        weight: weights of the errors, [N] or [].
     """
 
     error: Tensor
@@ -335,7 +335,7 @@ class Rows(Protocol):
     Attributes:
         columns: of the inputs.
         turning: of the drive models that are fitted, [C].
-        belief: by how much a delay must raise the log-likelihood.
+        belief: gain in log-likelihood for accepting a delay.
     """
 
     belief: ClassVar[float]
@@ -360,7 +360,7 @@ class Rows(Protocol):
         ...
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
-        """Return the best twists [P, K, 3] of each model, and the errors that they leave."""
+        """Return the best twists [P, K, 3] of each model, and their errors."""
         ...
 
 
@@ -369,10 +369,10 @@ class Fit(NamedTuple):
 
     Attributes:
         drive: the model.
-        rows: these.
+        rows: the rows.
         band: dead bands, scaled, [C].
-        laws: as they are searched for, [L, C].
-        searched: whether they were; if not, speeds are reached at once.
+        laws: in the form of the search, [L, C].
+        searched: whether the laws were searched; if not, speeds are reached at once.
         actuators: of the model.
     """
 
@@ -395,7 +395,7 @@ class Fit(NamedTuple):
 
 
 def searched_terms(rows: Rows) -> int:
-    """Return how many numbers the twists of the drive models of rows are linear in."""
+    """Return the number of terms in the twists of the rows' drive models."""
     return (features_of if rows.turning is None else terms_of)(len(rows.columns.driven))
 
 
@@ -403,8 +403,8 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
     """Return the drive model of rows.
 
     Args:
-        rows: these.
-        laws: whether to look for the actuators' laws; if not, speeds are reached at once.
+        rows: the rows.
+        laws: whether to search the actuators' laws; if not, speeds are reached at once.
         band: dead bands, scaled, [C]; found from the rows if not given.
     """
     count = len(rows.columns.driven)
@@ -422,7 +422,7 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
         return Fit.of(rows, band, _searched(searched, band, *limits), True)
     band = _dead_bands(searched, roughly)
     best = _searched(searched, band, *limits)
-    # With the laws known better, slow commands say more.
+    # With better laws, slow commands tell more.
     again = _dead_bands(searched, best)
     if not torch.equal(again, band):
         band, best = again, _again(searched, again, best, *limits)
@@ -430,9 +430,9 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
 
 
 def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Return laws [L, C] that dead bands can be estimated with.
+    """Return approximate laws [L, C] for estimating dead bands.
 
-    They are without static friction, which could stand for a dead band.
+    They have no static friction, which could be mistaken for a dead band.
     """
     highest, none = highest.clone(), torch.zeros(lowest.shape[1], dtype=torch.float64)
     highest[_STICK] = 0.0
@@ -455,18 +455,18 @@ def _turning(rows: Rows, laws: Tensor, band: Tensor | None) -> Tensor | None:
 
 
 def _start(lag: float, rate: float, delay: float, lowest: Tensor) -> Tensor:
-    """Return laws [L, C], of all actuators alike, where a search begins."""
+    """Return the first laws [L, C] of a search, equal for all actuators."""
     start = _of_each(_USUAL, lowest.shape[1])
     start[_TOTAL], start[_RATE], start[_DELAY] = math.log(lag + delay), math.log(rate), delay
     return torch.maximum(start, lowest)
 
 
 def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
-    """Return the dead bands [C] that rows are best explained by, given the laws.
+    """Return the dead bands [C] that fit rows best with given laws.
 
-    Only an actuator that is driven both ways can have one. It lies half way between two magnitudes
-    that were commanded. First one band for all is sought, because where two wheels creep neither
-    can be judged while the other is thought to move; then each for itself.
+    Only an actuator that is driven both ways can have one. It is half way between two commanded
+    magnitudes. First a common band is searched, because of two creeping wheels neither can be
+    judged while the other is assumed to move; then each band separately.
     """
     commanded, band = rows.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
     reverses = (commanded.amin(0) < 0.0) & (commanded.amax(0) > 0.0)
@@ -495,13 +495,13 @@ def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
 
 
 def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Return the laws [L, C] that rows are best explained by, within limits.
+    """Return the laws [L, C] that fit rows best, within limits.
 
     Args:
-        rows: these.
+        rows: the rows.
         band: dead bands, [C].
-        lowest: that each law may be, [L, C].
-        highest: that each law may be, [L, C].
+        lowest: lower limit of each law, [L, C].
+        highest: upper limit of each law, [L, C].
     """
     tried = list(product(_LAGS, _RATES, _DELAYS))
     coarse = torch.stack([_start(*one, lowest) for one in tried])
@@ -514,7 +514,8 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
         return min(refined, key=lambda one: one[1])
 
     def starts(longest_delay: float) -> list[Tensor]:
-        # Of each rate the best, as no step leads from a rate that never limits to one that does.
+        # The best of each rate, because no step leads from a rate without effect to one with
+        # effect.
         of_rates: dict[float, Tensor] = {}
         for number in order:
             _, rate, delay = tried[number]
@@ -534,7 +535,7 @@ def fit_again(fit: Fit, weights: Tensor) -> list[Fit]:
     """Return the fits of the same rows with other weights.
 
     Args:
-        fit: of the rows: where the search begins.
+        fit: fit of the rows, the start of the search.
         weights: of the rows, [M, N].
     """
     limits = [_of_each(values, fit.laws.shape[1]) for values in (_LOWEST, _HIGHEST)]
@@ -548,7 +549,7 @@ def fit_again(fit: Fit, weights: Tensor) -> list[Fit]:
 
 
 def _again(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Return the laws [L, C] of rows that differ a little from those of which others are."""
+    """Return the laws [L, C] of slightly changed rows, from the laws of the original ones."""
     if laws[_DELAY, 0] == 0.0:
         highest = highest.clone()
         highest[_DELAY] = 0.0
@@ -561,22 +562,22 @@ def outside(command: Tensor, band: Tensor) -> Tensor:
 
 
 def _of_each(values: Sequence[float], count: int) -> Tensor:
-    """Return values [L] for each of so many actuators, [L, C]."""
+    """Return values [L] repeated for each actuator, [L, C]."""
     return torch.tensor(values, dtype=torch.float64).unsqueeze(1).repeat(1, count)
 
 
 def _refined(
     rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor, steps: int = _STEPS
 ) -> tuple[Tensor, float]:
-    """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
+    """Return the best laws near given ones, and their cost, by Levenberg's and Marquardt's method.
 
     Args:
-        rows: that they are to explain.
+        rows: the rows to fit.
         band: dead bands, [C].
-        laws: to begin at, [L, C].
-        lowest: that each may be, [L, C].
-        highest: that each may be, [L, C].
-        steps: at most.
+        laws: first laws, [L, C].
+        lowest: lower limit of each, [L, C].
+        highest: upper limit of each, [L, C].
+        steps: largest number of steps.
     """
 
     def errors(laws: Tensor) -> list[Errors]:
@@ -585,7 +586,7 @@ def _refined(
     laws = torch.minimum(laws, highest)
     width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
     varied = highest > lowest
-    varied[_DELAY, 1:] = False  # a delay is one for all: the first column's
+    varied[_DELAY, 1:] = False  # the delay is common to all: the first column's
     unit = width[varied]
     now = errors(laws[None])
     cost, damping = float(_cost(laws[None], now)), _DAMPING
@@ -604,7 +605,7 @@ def _refined(
         off, counts = _off(laws)
         gradient = slope.T @ (weight * error / size) + off[varied]
         curvature = slope.T @ (weight.unsqueeze(1) * slope) + torch.diag(counts[varied])
-        # What stands at a limit and would go beyond stays there.
+        # A law at a limit that would go beyond it stays there.
         free = ~(((here <= low) & (gradient > 0.0)) | ((here >= high) & (gradient < 0.0)))
         before = cost
         while damping < _STIFFEST and cost == before:
@@ -638,17 +639,17 @@ def _costs(rows: Rows, laws: Tensor, band: Tensor) -> Tensor:
 
 
 def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far laws [..., L, C] are off the usual, in widths of the prior; if it counts."""
+    """Return the deviation of laws [..., L, C] from usual ones, in widths of the prior."""
     usual, width = (torch.tensor(v, dtype=torch.float64).unsqueeze(1) for v in (_USUAL, _WIDTH))
     counts = torch.ones_like(laws)
     counts[..., _DELAY, 1:] = 0.0
-    # Above the usual it is no limit.
+    # A rate above the usual one has no effect.
     counts[..., _RATE, :] = (laws[..., _RATE, :] < _USUAL[_RATE]).to(laws)
     return (laws - usual) / width * counts, counts
 
 
 def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]:
-    """Return the best kinematics [P, F, 3], and the errors that they leave."""
+    """Return the best kinematics [P, F, 3], and their errors."""
     x, y, within = motion.x, motion.y, motion.within
     pieces, parts = motion.distances(actuators)
     product = torch.arange(pieces.shape[2]) >= len(motion.columns.driven)
@@ -668,8 +669,8 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
-        # They are from the same commands as the rows, which they are not to outweigh: they count
-        # as many as there are rows, at most.
+        # They are from the same commands as the rows and must not outweigh them: in all they have
+        # at most the weight of the rows.
         counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
         twists = (kinematics.mT[:, None] @ parts).transpose(2, 3)  # [P, pieces, L, 3]
         steps = se2.exp(twists).unbind(1)
@@ -677,7 +678,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         for step in steps[1:]:
             pose = se2.compose(pose, step)
         error = pose - within.moved.to(x)
-        # What is short is measured by what is short.
+        # Errors of short parts are compared with those of short parts.
         size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-6)
         errors += [Errors(error[..., k], size[..., k], counts) for k in range(error.shape[2])]
     return kinematics, errors
@@ -686,16 +687,16 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
 def _regression(
     features: Tensor, target: Tensor, product: Tensor, weight: Tensor
 ) -> tuple[Tensor, Errors]:
-    """Return the weights [P, F] of regressions with Huber's loss, and the errors that they leave.
+    """Return the weights [P, F] of regressions with Huber's loss, and their errors.
 
     Args:
         features: [P, F, N]: of speeds, products and losses.
         target: [N].
-        product: which of them are not of speeds alone, [F].
+        product: whether each feature is a product, [F].
         weight: what each row counts, [N].
     """
     row_weights, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
-    # By a product alone a target would be of the size that it has, or less.
+    # By a product alone, the target would have its size or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
     for step in range(REGRESSIONS):

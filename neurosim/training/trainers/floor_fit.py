@@ -1,9 +1,10 @@
-"""Learning the floor from where robots moved otherwise than their commands say.
+"""Learning the floor from differences between the robot's motion and its commands.
 
-The map is a Gaussian process over the board, seen through what it does to turns and to ways ahead
-(Rasmussen and Williams 2006, section 9.4: derivative observations), with a sum of bells in its
-place. Its length and size are those under which the rows are likeliest. It is believed only where
-that is much likelier than no map, and only of what it makes likelier: turns, or the way ahead too.
+The map is a Gaussian process over the board, observed through its effect on turns and distances
+ahead (Rasmussen and Williams 2006, section 9.4: derivative observations), approximated by a sum of
+bells. Its length and size have the largest likelihood of the rows. It is accepted only if it is
+much likelier than no map, and only for turns, or also for distances ahead, if these become
+likelier.
 """
 
 from __future__ import annotations
@@ -19,27 +20,29 @@ from neurosim.simulators.motion.floor import SPACING, Floor, pieces
 LENGTHS = (1 / 8, 1 / 5, 1 / 3, 1 / 2)
 #: Variance of the map over that of the rows' noise: candidates.
 RATIOS = tuple(10.0 ** (step / 3) for step in range(-15, 7))
-#: A map must raise the log-likelihood by so much to be believed.
+#: Gain in log-likelihood for accepting a map.
 BELIEVED = 5.0
-#: So many rows, evenly spread over all, are enough for a map.
+#: Number of rows, evenly spread over all, that are enough for a map.
 MOST_ROWS = 4000
-#: Where a robot drove up and down a line, the area counts as so much of its length wide.
+#: Smallest width of the area, as a fraction of its length, for a robot that drove up and down a
+#: line.
 NARROWEST = 0.1
-#: What is farther off than this, in standard deviations, counts as if it were so far off.
+#: Largest residual, in standard deviations; larger ones are clipped.
 FAR = 2.5
-#: Steps in which rows are evened, each about a hundred times as exact as the one before.
+#: Number of steps in which rows are evened, each about a hundred times as exact as the previous
+#: one.
 _EVENINGS = 3
-#: Added to the diagonal of the bells' covariance: neighbours are nearly alike.
+#: Added to the diagonal of the bells' covariance, because neighbours are nearly equal.
 _JITTER = 1e-6
 
 
 class FloorFit(NamedTuple):
-    """A learned floor, and what is left of it where a row itself was not seen.
+    """A learned floor, and its effect on rows that were left out.
 
     Attributes:
-        floor: itself.
-        unseen: turn that it makes of each row by all other rows, less that by all rows, [N] rad;
-            0 of rows beyond :data:`MOST_ROWS`, of which each changes little.
+        floor: the floor.
+        unseen: its turn of each row learned from all other rows, less that from all rows, [N] rad;
+            0 for rows beyond :data:`MOST_ROWS`, each of which changes little.
     """
 
     floor: Floor
@@ -53,15 +56,15 @@ class FloorFit(NamedTuple):
 
 
 class _Believed(NamedTuple):
-    """A map that rows tell of.
+    """A map that was learned from rows.
 
     Attributes:
-        gain: by how much it raises the log-likelihood.
-        floor: where its bells are.
-        basis: what makes bells' weights of those of the eigenvectors, [K, K].
+        gain: its gain in log-likelihood.
+        floor: the floor with its bells.
+        basis: matrix from the eigenvectors' weights to the bells' weights, [K, K].
         weights: of the eigenvectors, [K].
         sd: standard deviations of these, [K].
-        unseen: as in :class:`FloorFit`, of the rows that it was learned of.
+        unseen: as in :class:`FloorFit`, for its training rows.
     """
 
     gain: float
@@ -80,15 +83,15 @@ def fit_floor(
     members: int,
     generator: torch.Generator,
 ) -> FloorFit | None:
-    """Learn a floor; None: the rows do not tell of any.
+    """Learn a floor; None if the rows do not show one.
 
     Args:
-        start: where commands began, [N, 3] m, m, rad.
-        moved: displacements that followed, [N, 3].
-        left: by how much more they turned (rad) and went ahead (m) than was foreseen, [N, 2].
-        trust: how much each counts, [N, 2]: in proportion to 1 / variance.
-        members: how many members draw a floor of their own.
-        generator: of these draws.
+        start: poses at the commands' beginnings, [N, 3] m, m, rad.
+        moved: displacements, [N, 3].
+        left: residuals of turn (rad) and distance ahead (m), [N, 2].
+        trust: their weights, [N, 2], in proportion to 1 / variance.
+        members: number of members, each with a random floor.
+        generator: of these floors.
     """
     chosen = slice(None, None, -(-len(start) // MOST_ROWS))
     every, (start, moved, left, trust) = (
@@ -126,11 +129,11 @@ def fit_floor(
 
 
 def evened(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
-    """Return the displacements [N, 3] that would have been on an even floor.
+    """Return the displacements [N, 3] for an even floor.
 
     Args:
-        floor: on which they were.
-        start: where they began, [N, 3].
+        floor: the floor of the displacements.
+        start: poses at their beginnings, [N, 3].
         moved: the displacements, [N, 3].
     """
     even = moved
@@ -142,14 +145,14 @@ def evened(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
 def _of_bells(
     where: Floor, whitened: Tensor, design: Tensor, left: Tensor, root: Tensor
 ) -> _Believed:
-    """Return the likeliest map of bells at these places.
+    """Return the likeliest map of bells at given positions.
 
     Args:
-        where: the places, and whether the way ahead tells of the map, too.
+        where: the positions, and whether the distance ahead is used, too.
         whitened: of :func:`_whitening`.
         design: product of :func:`_effects` and that, [N, 2, K].
         left: as in :func:`fit_floor`.
-        root: what makes of ``left`` numbers of about 1, [N, 2].
+        root: factors that scale ``left`` to about 1, [N, 2].
     """
     columns = slice(2 if where.ahead else 1)
     scaled = (left * root).clamp(-FAR, FAR)[:, columns]
@@ -176,7 +179,7 @@ def _of_bells(
 
 
 def _log_likelihood(y: Tensor, values: Tensor, along: Tensor, ratio: float) -> float:
-    """Return the logarithm of the likelihood of rows [N], whose noise makes it as large as can be.
+    """Return the log-likelihood of rows [N], at the noise with the largest likelihood.
 
     Args:
         y: the rows.
@@ -190,7 +193,7 @@ def _log_likelihood(y: Tensor, values: Tensor, along: Tensor, ratio: float) -> f
 
 
 def _whitening(floor: Floor) -> Tensor:
-    """Return the matrix [K, K] that makes bells' weights of independent normal numbers."""
+    """Return the matrix [K, K] from independent normal numbers to bells' weights."""
     covariance = floor.bells(floor.centres)[0]
     covariance.diagonal().add_(_JITTER)
     triangle = torch.linalg.cholesky(covariance)
@@ -199,7 +202,7 @@ def _whitening(floor: Floor) -> Tensor:
 
 
 def _effects(floor: Floor, start: Tensor, moved: Tensor) -> Tensor:
-    """Return by how much each bell changes each row's turn and its way ahead, [N, 2, K] rad, m."""
+    """Return each bell's effect on each row's turn and distance ahead, [N, 2, K] rad, m."""
     points, chords = pieces(start, moved)
     bells = floor.bells(points.flatten(0, 1)).unflatten(1, points.shape[:2])  # [3, N, P, K]
     across = chords[..., :1] * bells[2] - chords[..., 1:] * bells[1]

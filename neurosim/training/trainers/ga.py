@@ -20,7 +20,7 @@ from neurosim.training.base import TrainingData, Units, root_mean_square
 
 @dataclass(frozen=True)
 class GaSettings(GeneticSettings):
-    """Table 1, and what the paper does not say.
+    """Table 1, and settings that the paper does not give.
 
     Attributes:
         generations: Generations of the search.
@@ -34,7 +34,7 @@ class GaSettings(GeneticSettings):
 
 
 class GaTrainer:
-    """One independent genetic algorithm an output; fitness is 1 / MSE (equation 1).
+    """One independent genetic algorithm for each output; fitness is 1 / MSE (equation 1).
 
     Inputs are scaled to [-1, 1] by their largest magnitude and outputs to a root mean square of
     one, so that the same first weights and the same mutation suit every output.

@@ -1,8 +1,9 @@
 """A Gaussian process of several functions that share their lengths, on some of the rows.
 
 Rasmussen and Williams 2006: section 5.4.1 (lengths by the marginal likelihood), section 8.3.1
-(subset of regressors); the rows that stand for the others are chosen one by one as those that the
-earlier say least about (Fine and Scheinberg 2001, incomplete Cholesky decomposition with pivots).
+(subset of regressors); the rows that represent the others are chosen one by one, each with the
+largest variance given the earlier ones (Fine and Scheinberg 2001, incomplete Cholesky decomposition
+with pivots).
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from torch import Tensor
 
 from neurosim.simulators.motion.kernel_units import covariance
 
-#: Steps in which the lengths are found.
+#: Number of steps of the search for the lengths.
 _STEPS = 30
-#: ln of a length in spreads of its input, before rows say more: smooth.
+#: Prior ln of a length in spreads of its input: smooth.
 _USUAL, _PULL = 0.7, 0.1
-#: The least such logarithm: of shorter lengths, squares of far inputs leave too few digits for a
-#: covariance that can be factored.
+#: Smallest such logarithm: with shorter lengths, squares of far inputs leave too few digits for
+#: factoring the covariance.
 _LEAST = -3.0
-#: No logarithm is further from 0.
+#: Largest magnitude of a logarithm.
 _MOST = 7.0
 #: Added to the diagonal of a covariance.
 _JITTER = 1e-7
-#: A row is told by the others when less than this fraction of its variance is left.
+#: Remaining fraction of a row's variance below which the other rows determine it.
 _RELATIVE = 1e-6
 
 
@@ -36,8 +37,8 @@ class Process:
     Attributes:
         centres: [K, J].
         lengths: [J].
-        power: variance of each function before rows say more, [F].
-        noise: variance of rows that weigh 1, [F].
+        power: prior variance of each function, [F].
+        noise: noise variance of rows with weight 1, [F].
     """
 
     centres: Tensor
@@ -50,14 +51,14 @@ class Process:
         return covariance(x, self.centres, self.lengths)
 
     def _precision(self, function: int) -> Tensor:
-        """Return the weights' precision [K, K] before rows say more.
+        """Return the weights' prior precision [K, K].
 
-        It is the centres' covariance over the power: the weights' own is the inverse.
+        It is the centres' covariance over the power; the weights' covariance is its inverse.
         """
         return covariance(self.centres, self.centres, self.lengths) / self.power[function]
 
     def prior(self, function: int) -> Tensor:
-        """Return the Cholesky factor [K, K] of the precision before rows say more."""
+        """Return the Cholesky factor [K, K] of the prior precision."""
         precision = self._precision(function)
         precision.diagonal().add_(_JITTER * precision.diagonal().mean())
         return torch.linalg.cholesky(precision)
@@ -69,10 +70,10 @@ class Process:
 
         Args:
             units: of rows, [N, K].
-            factor: of the function in what is known of it, [N].
-            y: that, factor times function and noise, [N].
-            trust: of the rows: reciprocals of their relative noise variances, [N].
-            function: its number.
+            factor: factor of the function in ``y``, [N].
+            y: factor times function, plus noise, [N].
+            trust: weights of the rows, reciprocals of their relative noise variances, [N].
+            function: number of the function.
         """
         trust = trust / self.noise[function]
         columns = units * factor.unsqueeze(1)
@@ -94,16 +95,16 @@ def learn_process(
     """Learn lengths, power and noise, and choose the centres.
 
     Returns:
-        The process, and minus the logarithm of the likelihood that lengths were found with.
+        The process, and minus the log-likelihood of its lengths.
 
     Args:
         x: inputs, [N, J].
         y: functions' values, [N, F].
-        weights: of each value: the reciprocal of its relative noise variance, [N, F].
-        centres: how many at most.
-        elsewhere: inputs [M, J] that may be asked for: a third of the centres stand where rows say
-            least of these, so that draws from the posterior differ there.
-        chosen: places of the rows that lengths are found with.
+        weights: weight of each value, the reciprocal of its relative noise variance, [N, F].
+        centres: largest number of centres.
+        elsewhere: inputs [M, J] that may occur later: a third of the centres are among those
+            farthest from the rows, so that draws from the posterior differ there.
+        chosen: indices of the rows for the search of the lengths.
     """
     spread = x.std(0).clamp(min=1e-2) if len(x) > 1 else torch.ones_like(x[0])
     size = ((y.square() * weights).sum(0) / weights.sum(0).clamp(min=1e-12)).sqrt()
@@ -141,7 +142,7 @@ def _bounded(logs: Tensor, inputs: int) -> Tensor:
 def unlikelihood(
     logs: Tensor, x: Tensor, y: Tensor, trust: Tensor, spread: Tensor
 ) -> tuple[float, Tensor]:
-    """Return minus the log-likelihood of rows, with the pull to what is usual, and its gradient.
+    """Return minus the log-likelihood of rows, with the pull to usual values, and its gradient.
 
     Rasmussen and Williams 2006, equations 5.8 and 5.9.
 
@@ -186,22 +187,22 @@ def choose_centres(x: Tensor, elsewhere: Tensor, lengths: Tensor, count: int) ->
 
     Args:
         x: rows.
-        elsewhere: inputs that may be asked for.
+        elsewhere: inputs that may occur later.
         lengths: of the covariance, [J].
-        count: how many at most.
+        count: largest number of centres.
     """
     near = _pivots(x, lengths, count - count // 3)
     return _pivots(torch.cat([near, elsewhere]), lengths, len(near) + count // 3, len(near))
 
 
 def _pivots(x: Tensor, lengths: Tensor, count: int, given: int = 0) -> Tensor:
-    """Return the rows [K, J] that, one after the other, the earlier ones say least about.
+    """Return the rows [K, J], each with the largest variance given the earlier ones.
 
     Args:
         x: rows, [N, J].
         lengths: of the covariance, [J].
-        count: how many at most.
-        given: how many of the first rows are chosen before any other.
+        count: largest number of rows.
+        given: number of first rows that are chosen before the others.
     """
     left = torch.ones(len(x), dtype=x.dtype)
     factor = x.new_zeros(len(x), min(count, len(x)))

@@ -9,7 +9,7 @@ from neurosim.base.errors import UserError, check_names
 from neurosim.base.registry import Registry
 from neurosim.training.base import Trainer
 
-#: By name: a class as :class:`~neurosim.training.base.Trainer` says.
+#: Classes by name, see :class:`~neurosim.training.base.Trainer`.
 TRAINERS = Registry(
     "trainer",
     "neurosim.trainers",
@@ -19,7 +19,7 @@ TRAINERS = Registry(
     },
 )
 
-#: The name of the trainer that is used if nobody says otherwise.
+#: Name of the default trainer.
 DEFAULT = "combined"
 
 
@@ -27,7 +27,7 @@ def trainer_class(name: str) -> type[Trainer]:
     """Return the trainer of this name.
 
     Raises:
-        UserError: if there is none.
+        UserError: if the name is unknown.
     """
     return TRAINERS.get(name)
 
@@ -36,7 +36,7 @@ def trainer_settings(name: str, options: dict[str, Any]) -> Any:
     """Return a trainer's settings, its defaults with some of them replaced.
 
     Raises:
-        UserError: if it has no such setting, or the value cannot be.
+        UserError: if a setting is unknown, or a value is invalid.
     """
     kind = trainer_class(name).settings_type
     known = [field.name for field in fields(kind)]

@@ -1,8 +1,8 @@
 """The drive model of logs in which commands change faster than the robot answers.
 
-Rows follow one another there, and each is too short to say much. So the model is held to windows:
-runs of rows of :data:`LENGTHS`, which overlap, and whose displacement is composed of those of their
-rows. Commands under way and speeds reached go on from row to row, as in the simulator.
+There, rows follow one another, and each is too short to tell much. So the model is fitted to
+windows: overlapping runs of rows of :data:`LENGTHS`, whose displacement is composed of those of
+their rows. Pending commands and speeds continue from row to row, as in the simulator.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from neurosim.training.trainers.drive_fit import (
     searched_terms,
 )
 
-#: How long windows last, s, and how many begin within the length of one.
+#: Durations of windows, s, and number of windows that begin within the length of one.
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
-#: Pieces of constant twist last no longer, s.
+#: Longest piece of constant twist, s.
 PIECE = 0.1
-#: Products of speeds, before rows say more, explain this fraction of the motion. Larger than where
-#: commands are held: in a log of a car, speed and steering change together.
+#: Prior fraction of the motion that products of speeds explain. It is larger than for held
+#: commands, because in a log of a car speed and steering change together.
 _PRODUCTS = 0.2
-#: Rows that the laws are searched with: so many for each that stands for itself.
+#: Number of rows for the search of the laws, for each independent row.
 _SHORTER = 5
-#: A robot that moves by less than this fraction of the most stands.
+#: Fraction of the largest motion below which a robot stands.
 _STANDS = 1e-3
 
 
@@ -51,9 +51,9 @@ class Windows(NamedTuple):
     Attributes:
         first: the first row.
         end: the row after the last one.
-        kind: which of the lengths it has.
-        weight: what it counts. Windows overlap, and errors of neighbours are alike; all together
-            count as many as there would be windows of the longest length.
+        kind: index of its length.
+        weight: its weight. Windows overlap, and errors of neighbours are similar; all together have
+            the weight of the possible separate windows of the longest length.
     """
 
     first: Tensor
@@ -84,7 +84,7 @@ def windows_of(time: Tensor, joined: Tensor) -> Windows:
                 if until > first + 1 and end[until] + end[until - 1] > 2.0 * (begin + length):
                     until -= 1
                 lasts = end[until] - begin
-                # A long row is a window of the length that is nearest to its own.
+                # A long row is a window of the length nearest to its own.
                 nearest = int(np.abs(np.log(np.array(LENGTHS) / lasts)).argmin())
                 if nearest != kind:
                     continue
@@ -97,11 +97,11 @@ def windows_of(time: Tensor, joined: Tensor) -> Windows:
 
 
 def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Cut rows where poses within them are known, but for pieces shorter than :data:`PIECE`.
+    """Cut rows at known poses within them, without pieces shorter than :data:`PIECE`.
 
     Returns:
-        Of each piece the row, begin and end, [K] s since the row's beginning, and the displacement,
-        [K, 3].
+        For each piece the row, begin and end, [K] s since the row's beginning, and the
+        displacement, [K, 3].
     """
     known: dict[int, list[tuple[float, Tensor]]] = {}
     if within is not None:
@@ -139,16 +139,17 @@ def _driven(a, turning, commanded, before, time, joined, features, lasts, row, s
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         commanded: commands of the rows, [N, C].
-        before: those before each row, of use where it is not joined to the row before it, [N, C].
+        before: previous commands of the rows, used if a row is not joined to the previous one, [N,
+            C].
         time: of the rows, s.
-        joined: whether a row begins where that before it ended.
-        features: [M, F], written: of each piece ways and products of mean speeds times time.
-        lasts: [M], written: how long it lasts, s.
-        row: [M], written: the row that it is a piece of.
-        states: [N, 2 C], written: speeds and pushes where a row begins.
+        joined: whether a row begins at the end of the previous one.
+        features: [M, F], written: for each piece distances, and products of mean speeds times time.
+        lasts: [M], written: its duration, s.
+        row: [M], written: its row.
+        states: [N, 2 C], written: speeds and pushes at a row's beginning.
 
     Returns:
-        How many pieces there are.
+        The number of pieces.
     """
     count, delay = commanded.shape[1], a.delay[0]
     speed, push, distance = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -189,18 +190,18 @@ def _driven(a, turning, commanded, before, time, joined, features, lasts, row, s
 
 @dataclass(frozen=True)
 class Chains:
-    """Rows that follow one another, cut where poses within them are known, and windows of these.
+    """Rows that follow one another, cut at known poses within them, and windows of these.
 
     Attributes:
-        commanded: what commands ask for, scaled, before the static curve, [N, C].
-        before: the same of the command before, [N, C].
+        commanded: scaled commands, before the static curve, [N, C].
+        before: the same for the previous command, [N, C].
         time: durations, [N] s.
         joined: whether a row begins where that before it ended, [N] bool.
         y: displacements, [N, 3].
         windows: runs of these rows.
-        whole: where the rows begin that these were cut from, [K].
+        whole: indices at which the uncut rows begin, [K].
         columns: of their inputs.
-        weight: what the whole rows count, [K]; None: all alike.
+        weight: weights of the whole rows, [K]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
     """
 
@@ -228,14 +229,14 @@ class Chains:
         longest: float,
         within: Within | None = None,
     ) -> Chains:
-        """Return rows with their windows, but for those in which the robot is to stand and does.
+        """Return rows with their windows, without those in which the robot should stand and stands.
 
         Args:
             x: scaled inputs before the static curve, [N, I].
             y: displacements, [N, 3].
             joined: whether a row begins where that before it ended, [N] bool.
             columns: of the inputs.
-            longest: what durations are scaled by, s.
+            longest: scale of durations, s.
             within: poses within the rows.
         """
         row, begin, end, y = _cut(x[:, columns.duration] * longest, y, within)
@@ -252,7 +253,7 @@ class Chains:
         return cls(commanded, before, time, joined, y, windows, whole, columns)
 
     def first(self, rows: int) -> Chains:
-        """Return the first rows, more than asked for as they are short, with their windows."""
+        """Return the first rows with their windows, more than ``count`` because they are short."""
         rows *= _SHORTER
         some = self.windows.end <= rows
         names = ("commanded", "before", "time", "joined", "y")
@@ -267,7 +268,7 @@ class Chains:
         return replace(self, weight=weight)
 
     def _counted(self) -> Windows:
-        """Return the windows with the mean of what their rows count."""
+        """Return the windows with the mean weight of their rows."""
         if self.weight is None:
             return self.windows
         row = torch.zeros(len(self.time), dtype=torch.long)
@@ -279,9 +280,9 @@ class Chains:
         return self.windows._replace(weight=weight * mean)
 
     def driven(self, actuators: Actuators) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return features [M, F], durations and rows [M] of pieces, and how rows begin.
+        """Return features [M, F], durations and rows [M] of pieces, and the rows' first states.
 
-        They begin with speeds and pushes, [N, 2 C].
+        These are speeds and pushes, [N, 2 C].
         """
         time, count = self.time.numpy(), self.commanded.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
@@ -300,11 +301,11 @@ class Chains:
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
     def inputs(self, fit: Fit, x: Tensor) -> tuple[Tensor, Underway]:
-        """Return networks' inputs of whole rows, as of :func:`chain`, and what is under way there.
+        """Return networks' inputs of whole rows, like :func:`chain`, and the actuators' states.
 
         Args:
             fit: the drive model.
-            x: scaled inputs of the whole rows, as they were given.
+            x: scaled inputs of the whole rows, as given.
         """
         drive = fit.drive
         speed, push = self.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
@@ -326,7 +327,7 @@ class Chains:
         return torch.cat([x, before[self.whole]], 1), under
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
-        """Return the best kinematics of each model, and the errors that they leave."""
+        """Return the best kinematics of each model, and their errors."""
         each = [self._fitted(actuators.one(p)) for p in range(len(actuators.lag))]
         kinematics, errors = zip(*each, strict=True)
         together = [
@@ -357,7 +358,7 @@ class Chains:
         turn = heading[end] - heading[first]
         product = torch.arange(width) >= self.commanded.shape[1]
         rate, turns_left = _regression(distance[end] - distance[first], turn, windows, product)
-        # What the turn of a row was, by the model, less or more what it missed.
+        # The turn of a row by the model, plus the model's error.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
         turns = turns + (missed / self.time)[row] * lasts
@@ -388,15 +389,15 @@ def _regression(
     windows: Windows,
     product: Tensor,
 ) -> tuple[Tensor, list[Errors]]:
-    """Return weights by Student's t, and the errors that they leave of each kind.
+    """Return weights by Student's t, and the errors of each kind.
 
     Args:
         features: [W, F]: of speeds, products and losses.
         target: [W].
         windows: their kinds and weights.
-        product: which of them are not of speeds alone, [F].
+        product: whether each feature is a product, [F].
     """
-    features = features.T.contiguous()  # what stands beside each other is summed fastest
+    features = features.T.contiguous()  # neighbours in memory are summed fastest
     kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
     size = torch.ones_like(target)
     for kind in kinds:
@@ -416,6 +417,6 @@ def _regression(
         if step == REGRESSIONS - 1:
             break
         row_weights = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
-        pull = usual  # not before the size of errors is known
+        pull = usual  # after the size of errors is known
     left = [Errors(error[kind], size[kind[:1]], windows.weight[kind]) for kind in kinds]
     return weights, left
