@@ -90,7 +90,7 @@ class Trials(NamedTuple):
 
     Attributes:
         genes: [N, 5] of their gaits.
-        gait: [N] a number for each gait; repeats fraction it.
+        gait: [N] a number for each gait; repeats have the same.
         roots: [N] square roots of the distances in pixels.
     """
 

@@ -1,8 +1,9 @@
 """The camera's pose over the board, from points marked in a picture of it.
 
-Points whose place in the image and on the board are both known give a homography first, refined
-by least squares of the reprojection error. Four of them, the corners of the board, do without any
-calibration: the lens is then taken to be a usual one, and what such lenses differ by is stated.
+Points with known positions in the image and on the board first give a homography, which least
+squares of the reprojection error refine. Four of them, the corners of the board, suffice without
+any calibration: a usual lens is then assumed, and the uncertainty includes the differences of such
+lenses.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import number, read_csv
 from tracking.camera.camera_model import CameraModel
 
-#: The height over the board at which a calibration says how sure a position is, m: that of the
+#: Height over the board at which a calibration states the uncertainty of positions, m: that of the
 #: paper's markers.
 MARKER_HEIGHT = 0.10
-#: A marked point is off by at least this (standard deviation, px), however well four points fit.
+#: Smallest error of a marked point (standard deviation, px), even if four points fit exactly.
 LEAST_CLICK = 0.3
 
 #: A usual lens: the focal length as a fraction of the picture's width (58 degrees), the axis
@@ -107,13 +108,13 @@ def camera_over_board(
     lens: CameraModel | None = None,
     height: float | None = None,
 ) -> CameraModel:
-    """Return the camera that sees points of the board where a person pointed at them.
+    """Return the camera that sees points of the board at the marked pixels.
 
-    Without a lens the camera is taken for a usual one. Points on a plane that is seen from
-    straight above say nothing of its focal length; with the camera's height it is found. The stated
-    uncertainty is the change of positions if focal length (or height), axis and bending are off by
-    a standard deviation of usual lenses, to either side, with the spread of the clicks. Most of it
-    is the bending, of which four corners cannot tell.
+    Without a lens, a usual one is assumed. Points on a plane seen from straight above do not
+    determine the focal length, but the camera's height does. The stated uncertainty is the change
+    of positions if focal length (or height), axis and distortion are off by a standard deviation of
+    usual lenses, to either side, plus the spread of the clicks. Most of it comes from the
+    distortion, which four corners do not determine.
 
     Args:
         image_size: width and height in pixels.
@@ -200,10 +201,10 @@ def _at_height(
 
 
 def click_spread(model: CameraModel, points: NDArray) -> NDArray:
-    """Return the standard deviation [N, 2] (m) of positions over the board that clicks leave.
+    """Return the standard deviation [N, 2] (m) of positions over the board from errors of clicks.
 
-    The clicks' own error is what the points miss by, with the degrees of freedom that the pose
-    takes, and at least 0.3 px; each coordinate of each point is moved by it in turn.
+    The clicks' error is the points' residual, corrected for the pose's degrees of freedom, and at
+    least 0.3 px; each coordinate of each point is moved by it in turn.
 
     Args:
         model: located by ``points``.
@@ -251,7 +252,7 @@ def read_points(points: str | Path | ArrayLike) -> NDArray:
 def _check_spread(points: NDArray, where: str) -> None:
     centred = points - points.mean(0)
     spread = np.linalg.svd(centred, compute_uv=False)
-    # Four points of which three stand on one line leave a homography open as well.
+    # Four points with three on one line do not determine a homography either.
     doubtful = spread[1] < 0.01 * spread[0] or (
         len(points) == 4 and _flattest_triangle(points) < 0.005 * spread[0] ** 2
     )
@@ -275,7 +276,7 @@ def _pose_of(homography: NDArray) -> tuple[NDArray, NDArray]:
     """Split a homography (board metres to normalised image) into rotation and translation."""
     scale = 2.0 / (np.linalg.norm(homography[:, 0]) + np.linalg.norm(homography[:, 1]))
     columns = homography * scale
-    if columns[2, 2] < 0:  # the board is before the camera
+    if columns[2, 2] < 0:  # the board is in front of the camera
         columns = -columns
     rotation = np.column_stack([columns[:, 0], columns[:, 1], np.cross(*columns[:, :2].T)])
     u, _, vt = np.linalg.svd(rotation)

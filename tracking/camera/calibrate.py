@@ -1,4 +1,4 @@
-"""Camera calibration: the lens from a chessboard, with how uncertain it is.
+"""Camera calibration: the lens from a chessboard, with its uncertainty.
 
 The lens follows Zhang (2000) as OpenCV implements it, on the inner corners of a chessboard in
 photographs or in a video. For the pose over the board see :mod:`tracking.camera.board`.
@@ -34,12 +34,12 @@ from tracking.camera.video import Video
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
-#: From so many on, halves of them can.
+#: Smallest number of photographs for calibrating with halves of them.
 FEWEST_HALVED = 12
-#: How often they are halved; with half as often, what is stated still varies by a tenth.
+#: Number of halvings; with half as many, the stated uncertainty still varies by a tenth.
 SPLITS = 64
 HALVES, JACKKNIFE = "halves of the photographs", "jackknife over photographs"
-#: From a video at most this many frames are taken, spread over the places the board was held.
+#: Largest number of frames from a video, spread over the poses of the board.
 MOST_FRAMES = 40
 
 _GREY = cv2.COLOR_BGR2GRAY
@@ -56,12 +56,12 @@ def calibrate(
 ) -> CameraModel:
     """Calibrate a camera.
 
-    How uncertain it is comes from calibrating with halves of the photographs: corners of one
-    photograph err together, so that the residuals' covariance states half of the scatter that
-    other photographs bring. The results of halves scatter about the result of all as that does
-    about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate with;
-    they are left out one by one instead (the jackknife, Tukey 1958), which states about a sixth too
-    little. Three photographs are too few.
+    The uncertainty comes from calibrations with halves of the photographs. Errors of corners in one
+    photograph are correlated, so the residuals' covariance would give only half of the scatter
+    between photographs. The results of halves scatter about the result of all like this does about
+    the truth (McCarthy 1969). Fewer than 12 photographs have too small halves; they are left out
+    one by one instead (the jackknife, Tukey 1958), which gives about a sixth too little. Three
+    photographs are too few.
 
     Corners that were found in a wrong place, and photographs that do not fit the others, are left
     out: see :func:`tracking.camera.lens.fit_robustly`.
@@ -96,7 +96,7 @@ def calibrate(
 
 
 def _resampled(views: list[View], size: tuple[int, int]) -> tuple[list[CameraModel], str]:
-    """Return lenses from parts of the views, and what those are; none where there are too few."""
+    """Return lenses from parts of the views, and the parts' name; empty if there are too few."""
     if len(views) <= FEWEST_PHOTOGRAPHS:
         return [], ""
     if len(views) < FEWEST_HALVED:
@@ -154,7 +154,7 @@ def _lens_numbers(model: CameraModel) -> NDArray:
 def from_corners(
     picture: str | Path, corners: ArrayLike, board: tuple[float, float]
 ) -> CameraModel:
-    """Return a camera from the four corners of the board alone, for those who print nothing.
+    """Return a camera from the four corners of the board alone, without a printed chessboard.
 
     Args:
         picture: a photograph of the board, or a video, for its size.
@@ -224,7 +224,7 @@ def _photographs(files: Iterable[Path]) -> Iterator[tuple[str, NDArray]]:
 
 def _video_frames(path: Path) -> Iterator[tuple[str, NDArray]]:
     with Video(path) as video:
-        # Neighbouring frames say the same; a few hundred looks are enough to choose from.
+        # Neighbouring frames are alike; a few hundred are enough to choose from.
         every = max(1, round(video.frames / 300)) if video.frames else 5
         for index, _, frame in video:
             if index % every == 0:

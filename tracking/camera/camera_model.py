@@ -39,14 +39,14 @@ class CameraModel:
             or None if no points on the board were marked.
         translation: [3] in metres, the board's origin in the camera frame; None likewise.
         rms_px: reprojection error of the chessboard corners.
-        photographs: how many photographs the calibration rests on.
-        board_rms_m: distance on the board between the marked points and where this model puts
-            them, root of the mean square, in metres.
-        uncertainty: standard deviations, or None where nothing is known of them: ``fx``, ``fy``,
-            ``cx``, ``cy`` (px), ``distortion`` (five), and where the pose over the board is known
-            ``board_m``, of a position at the height ``height_m`` over it, in metres.
-        left_out: what did not fit and does not count: ``photograph`` (its name), ``off_px``, by
-            how much it is off, and of a single corner its ``u`` and ``v`` (px).
+        photographs: number of photographs of the calibration.
+        board_rms_m: root mean square distance on the board between the marked points and their
+            positions by this model, in metres.
+        uncertainty: standard deviations, or None if unknown: ``fx``, ``fy``, ``cx``, ``cy`` (px),
+            ``distortion`` (five), and with a pose over the board ``board_m``, of a position at the
+            height ``height_m`` over it, in metres.
+        left_out: photographs and corners that did not fit: ``photograph`` (its name), ``off_px``,
+            its error, and for a single corner ``u`` and ``v`` (px).
     """
 
     image_size: tuple[int, int]
@@ -87,7 +87,7 @@ class CameraModel:
 
     @cached_property
     def position(self) -> NDArray:
-        """[3] where the camera stands in the board frame, in metres."""
+        """[3] position of the camera in the board frame, in metres."""
         self._need_board()
         return -self.rotation.T @ self.translation
 
@@ -102,11 +102,11 @@ class CameraModel:
         return points.reshape(-1, 2)
 
     def straighten(self, pixels: ArrayLike) -> NDArray:
-        """Return pixels [N, 2] as a lens of the same focal length without distortion has them."""
+        """Return pixels [N, 2] of a lens with the same focal length and without distortion."""
         return self.undistort(pixels) @ self.camera_matrix[:2, :2].T + self.camera_matrix[:2, 2]
 
     def to_board(self, pixels: ArrayLike, height: float = 0.0) -> NDArray:
-        """Return board coordinates [N, 2] in metres of what is seen at pixels [N, 2].
+        """Return board coordinates [N, 2] in metres of points seen at pixels [N, 2].
 
         The ray of each pixel is cut with the plane ``height`` metres above the board, so that
         a marker on top of a robot is not displaced by parallax. NaN stays NaN.

@@ -16,7 +16,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog, check_name, open_own
 from tracking.camera.video import Video
 
-#: A camera that delivers no frame for so many seconds, or for so many frames' time, has stalled.
+#: Seconds, and frame intervals, without a frame after which a camera has stalled.
 STALLED, STALLED_FRAMES = 0.5, 5
 
 #: OpenCV's JPEG encoder takes half as long as FFmpeg's. Colour has full resolution, as markers of
@@ -31,16 +31,16 @@ OnFrame = Callable[[float, np.ndarray], None]
 
 
 class Camera:
-    """Whatever delivers frames: camera time in seconds, and the picture, BGR [H, W, 3] uint8.
+    """A source of frames: camera time in seconds, and the picture, BGR [H, W, 3] uint8.
 
     A delivered frame belongs to the receiver: the camera does not write to it again.
 
     Attributes:
         size: width and height of a frame, pixels.
         fps: frames per second.
-        waits: whether it makes the next frame only when this one was taken, so that none need be
-            passed over.
-        looked_after: whether it may stop or freeze, as one of the virtual lab does not.
+        waits: whether it makes the next frame only after this one was taken, so that none are
+            dropped.
+        looked_after: whether it may stop or freeze, unlike the virtual lab's.
         failed: whether it stopped by itself.
         stalled: whether no frame has come for longer than :data:`STALLED`.
     """
@@ -66,12 +66,12 @@ class Camera:
 
 
 class OpenCVCamera(Camera):
-    """A webcam, or anything else that OpenCV opens, read in a thread of its own.
+    """A webcam, or another source that OpenCV opens, read in a separate thread.
 
-    A frame's time is when it arrived, on the clock that is handed in; the pipeline's constant
-    latency is taken out later by the flash. That thread alone uses OpenCV's object once it runs,
-    which does not survive being closed while it waits for a frame. Of a URL, such as a phone's, it
-    reads from the beginning: frames that nobody takes would wait in the network, and come late.
+    A frame's time is its arrival on the given clock; the flash later corrects the constant latency.
+    Only that thread uses OpenCV's object while it runs, because closing it during a wait for a
+    frame crashes it. A URL, such as a phone's, is read from the beginning, because unread frames
+    would wait in the network and come late.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class OpenCVCamera(Camera):
                     try:
                         if self._on_frame is not None:
                             self._on_frame(self._now(), frame)
-                    except UserError:  # who takes the frames has kept it, to tell at the end
+                    except UserError:  # the receiver of the frames keeps the error until the end
                         self.failed = True
                         return
             finally:
@@ -153,7 +153,7 @@ class OpenCVCamera(Camera):
         self._thread.start()
 
     def stop(self) -> None:
-        """Deliver no more frames and let the camera go; one that has stalled, when it goes on."""
+        """Deliver no more frames and release the camera; a stalled one when it continues."""
         self._running.clear()
         if self._thread is None:
             self._capture.release()
@@ -195,7 +195,7 @@ def open_camera(
 
 
 class VideoCamera(Camera):
-    """A video file as a camera: frames at their own pace, from the beginning again at the end.
+    """A video file as a camera: frames at their own rate, repeated from the beginning at the end.
 
     Frames have the times of the file, so that time goes back where it begins again.
 
@@ -203,7 +203,7 @@ class VideoCamera(Camera):
         path: the file.
 
     Raises:
-        FileError: if it is no video that can be read.
+        FileError: if it is not a readable video.
     """
 
     def __init__(self, path: str | Path):
@@ -243,11 +243,11 @@ class VideoCamera(Camera):
 
 
 class VideoSink:
-    """Encodes frames in a thread of its own, and logs each frame's time, if there is a log.
+    """Encodes frames in a separate thread, and logs each frame's time, if there is a log.
 
-    Motion JPEG in AVI: every frame stands on its own, the file can be read up to where a kill cut
-    it off, and it holds nothing but the frames (Matroska adds a random number), so that the
-    virtual lab's is the same for the same seed; all at the price of some disk.
+    Motion JPEG in AVI: every frame is independent, the file can be read up to a cut by a kill, and
+    it contains only the frames (Matroska adds a random number), so that the virtual lab's file is
+    the same for the same seed. It takes more disk space.
     """
 
     def __init__(
@@ -257,7 +257,7 @@ class VideoSink:
         open_own(self._path, "xb").close()
         fourcc, name = cv2.VideoWriter.fourcc(*"MJPG"), check_name(self._path)
         self._writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, fps, size, _RAW)
-        #: Whether the writer takes frames that are JPEG already, and only puts them in the file.
+        #: Whether the writer takes frames that are JPEG already.
         self._takes_jpeg = self._writer.isOpened()
         if not self._takes_jpeg:
             self._writer = cv2.VideoWriter(name, fourcc, fps, size)
@@ -273,7 +273,7 @@ class VideoSink:
         self._thread.start()
 
     def write(self, time: float, frame: np.ndarray) -> None:
-        """Hand a frame over; waits while the encoder is far behind."""
+        """Give a frame to the encoder; waits while it is far behind."""
         if self._error is not None:
             raise UserError(f"{self._path}: writing the video failed: {self._error}")
         self._queue.put((time, frame))
@@ -309,17 +309,17 @@ class VideoSink:
 
 
 class Film:
-    """A video file of what a camera delivers, at a steady rate, as players and trackers take it.
+    """A video file of a camera's frames at a steady rate, for players and trackers.
 
-    A webcam delivers as it likes, and a Motion JPEG file holds no times: the rate is measured over
-    the first second, and from there on frames are left out or repeated to keep to it.
+    A webcam's rate varies, and a Motion JPEG file has no times: the rate is measured over the first
+    second, and then frames are left out or repeated to keep it.
 
     Args:
-        path: the ``.avi``, not there yet.
+        path: the new ``.avi``.
         size: of the pictures, width and height in pixels.
 
     Raises:
-        UserError: if it is there, or is no .avi.
+        UserError: if it exists, or is not an .avi.
     """
 
     def __init__(self, path: str | Path, size: tuple[int, int]):

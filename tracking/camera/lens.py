@@ -1,8 +1,8 @@
-"""The lens from what was seen of a chessboard: the fit, and what does not fit it.
+"""The lens from pictures of a chessboard: the fit, and the search for outliers.
 
-Zhang (2000) as OpenCV implements it. A corner that was found in a wrong place (a reflection, a
-finger, a smear) pulls at the whole lens, as least squares weigh it by the square of its error;
-it is found by what all others say of it.
+Zhang (2000) as OpenCV implements it. A corner at a wrong position (a reflection, a finger, a smear)
+disturbs the whole lens, because least squares weigh it by the square of its error; it is detected
+by its difference from all others.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FEWEST_PHOTOGRAPHS = 3
 #: A corner is wrong if it is off by so many times the median of all corners; a photograph if its
 #: corners' root mean square is so many times the median of all photographs'.
 WRONG_CORNER, WRONG_PHOTOGRAPH = 8.0, 4.0
-#: Nothing is wrong that is off by less, px.
+#: Smallest error of an outlier, px.
 LEAST_WRONG = 0.5
 #: A photograph with more wrong corners than this fraction is wrong itself.
 MOST_WRONG = 0.25
@@ -45,18 +45,18 @@ def fit(views: list[View], size: tuple[int, int]) -> CameraModel:
 
 
 def fit_robustly(views: list[View], size: tuple[int, int]) -> tuple[CameraModel, list[View]]:
-    """Return the lens that fits the views but for what is wrong in them, and what was kept.
+    """Return the lens that fits the views without outliers, and the kept views.
 
     In each round the photograph that fits worst is left out, or in every photograph the corner
-    that fits worst, if it is wrong; then the lens is fitted again. One at a time, as a wrong one
-    makes its neighbours look wrong, too.
+    that fits worst, if it is wrong; then the lens is fitted again. They are left out one at a time,
+    because an outlier makes its neighbours look wrong, too.
 
     Args:
         views: of one target, with names.
         size: of the pictures, width and height in pixels.
 
     Returns:
-        The lens, with what was left out under ``left_out``, and the views that it rests on.
+        The lens, with the outliers under ``left_out``, and the views that it uses.
 
     Raises:
         UserError: as :func:`fit` does, or if fewer than 3 photographs fit together.
@@ -101,14 +101,14 @@ def describe_left_out(left_out: dict[str, Any]) -> str:
 
 
 def _is_wrong_throughout(own: NDArray, misses: list[NDArray]) -> bool:
-    """Return whether not just some corners of a photograph do not fit."""
+    """Return whether a whole photograph, not only some corners, does not fit."""
     return bool(np.median(own) > WRONG_PHOTOGRAPH / 2 * np.median(np.concatenate(misses)))
 
 
 def _without(
     views: list[View], which: int, rms: float, left_out: list[dict[str, Any]]
 ) -> tuple[list[View], list[dict[str, Any]]]:
-    """Return the views without one, and what was left out with it in place of its corners."""
+    """Return the views without one, and the outliers, in which it replaces its corners."""
     name = views[which].name
     if len(views) <= FEWEST_PHOTOGRAPHS:
         raise UserError(
@@ -126,7 +126,7 @@ def _part(view: View, kept: NDArray) -> View:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Keep OpenCV to one thread: sums of several end in other last digits each time."""
+    """Limit OpenCV to one thread, because sums of several threads vary in their last digits."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -136,7 +136,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _fit(views: list[View], size: tuple[int, int]) -> tuple[CameraModel, list[NDArray]]:
-    """Return the lens, and by how many pixels [N] it misses the corners of each view."""
+    """Return the lens, and its errors [N] in pixels at the corners of each view."""
     boards = [
         np.column_stack([view.board, np.zeros(len(view.board))]).astype(np.float32)
         for view in views

@@ -14,7 +14,7 @@ from neurosim.base.errors import UserError
 
 _REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
-#: Of a ChArUco board so many corners must be seen, and not all on one line.
+#: Smallest number of visible corners of a ChArUco board, not all on one line.
 FEWEST_CORNERS = 8
 
 #: Inner corners along the two sides of a chessboard.
@@ -31,7 +31,7 @@ class View(NamedTuple):
 
 
 class Target(Protocol):
-    """Something flat whose corners are found in pictures."""
+    """A flat target whose corners are found in pictures."""
 
     #: How a message names it.
     name: str
@@ -62,7 +62,7 @@ class Chessboard:
 
 
 class Charuco:
-    """A ChArUco board: a chessboard with ArUco markers in its white squares; a part will do.
+    """A ChArUco board: a chessboard with ArUco markers in its white squares; a part is enough.
 
     Args:
         pattern: inner corners along its two sides; one less than the squares.
@@ -95,7 +95,7 @@ class Charuco:
         self._corners = np.asarray(self.board.getChessboardCorners(), float)[:, :2]
 
     def find(self, grey: NDArray) -> View | None:
-        """Return those of its corners that are seen."""
+        """Return its visible corners."""
         corners, names, _, _ = self._detector.detectBoard(grey)
         if names is None or len(names) < FEWEST_CORNERS:
             return None

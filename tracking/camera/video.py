@@ -1,4 +1,4 @@
-"""Reading video frame by frame, decoded ahead in a thread of its own."""
+"""Reading video frame by frame, decoded ahead in a separate thread."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-# A cut-off file is normal here and reported by us; FFmpeg's own messages would only bury it.
+# A cut-off file is normal and reported here; FFmpeg's own messages would hide the report.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError
 from neurosim.base.files import check_name
 
-#: How files begin that hold sound alone, and what they are.
+#: First bytes of files with sound only, and their formats.
 _SOUND = {
     b"ID3": "MP3", b"\xff\xfb": "MP3", b"\xff\xf1": "AAC", b"\xff\xf9": "AAC", b"fLaC": "FLAC",
     b"OggS": "Ogg", b"FORM": "AIFF",
 }  # fmt: skip
 #: Codecs that OpenCV names and cannot decode everywhere.
 _CODECS = {"AV01": "AV1", "AV1 ": "AV1"}
-#: What every OpenCV decodes, and how to come by it.
+#: Advice on a format that every OpenCV decodes.
 _CONVERT = "convert it to H.264, with ffmpeg -i {} -c:v libx264 -crf 18 {}"
-#: A video is cut short if so many of its frames, and their time, are missing: containers count
-#: and round a little otherwise.
+#: Number and time of missing frames from which a video counts as cut short, because containers
+#: count and round differently.
 _LEAST_MISSING = 3
 
 #: Frames decoded ahead: enough to bridge a full search, little enough to hold in memory.
@@ -39,8 +39,8 @@ AHEAD = 16
 class Video:
     """A video file, as an iterator of (index, time, frame).
 
-    ``time`` is in seconds on the camera's clock: the given times where there are some, else the
-    container's presentation times, else the index over the frame rate. ``frame`` is BGR
+    ``time`` is in seconds on the camera's clock: the given times, if any, else the container's
+    presentation times, else the index over the frame rate. ``frame`` is BGR
     [H, W, 3] uint8 and belongs to the receiver. Iteration ends where the file ends, also where
     it was cut off; with given times, at the latest after the last of them.
 
@@ -50,8 +50,8 @@ class Video:
         size: width and height in pixels.
         first: the first frame, BGR [H, W, 3] uint8.
         fps: the frame rate the container claims.
-        frames: the number of frames the container claims; 0 where it does not say.
-        missing: how many of them are not there, known once all were read.
+        frames: the number of frames that the container claims; 0 if unknown.
+        missing: number of missing frames, known after all were read.
     """
 
     def __init__(self, path: str | Path, times: NDArray | None = None):
@@ -101,7 +101,7 @@ class Video:
             yield item
 
     def at(self, index: int) -> NDArray | None:
-        """Return one frame, BGR [H, W, 3] uint8, before the video is read; None if it cannot be."""
+        """Return one frame, BGR [H, W, 3] uint8, before the video is read; None without it."""
         if index == 0:
             return self.first
         self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
@@ -109,7 +109,7 @@ class Video:
         return frame if good else None
 
     def close(self) -> None:
-        """Stop decoding and let the file go."""
+        """Stop decoding and close the file."""
         self._stopped.set()
         if self._thread is not None:
             # The decoder may be waiting for room in the queue.
@@ -155,21 +155,21 @@ class Video:
         stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         if index == 0:
             return stamp if np.isfinite(stamp) and stamp >= 0 else 0.0
-        # Some containers carry no times, or restart them: then the frame rate must do.
+        # Some containers have no times, or restart them: then the frame rate is used.
         return stamp if np.isfinite(stamp) and stamp > before else before + 1.0 / self.fps
 
     def _missing(self, count: int, last: float) -> int:
-        """Return how many frames there should be after the ``count`` up to the time of the last."""
+        """Return the number of frames missing after the first ``count``, up to the last time."""
         if self._times is not None:
             return 0
         missing = self.frames - count
-        # Where a container has its length in time alone, the count is a guess.
+        # If a container has only its length in time, the count is a guess.
         late = self.frames - 1 - last * self.fps
         return missing if min(missing, round(late)) >= _LEAST_MISSING else 0
 
 
 def _what_instead(path: Path) -> str:
-    """Say what a file is that cannot be opened as a video."""
+    """Describe a file that cannot be opened as a video."""
     with path.open("rb") as file:
         head, rest = file.read(12), file.read(2**20)
     sound = next((kind for begin, kind in _SOUND.items() if head.startswith(begin)), None)
@@ -197,7 +197,7 @@ def _what_instead(path: Path) -> str:
 
 
 def _undecodable(path: Path, code: int) -> str:
-    """Say what a video is of which no frame can be decoded."""
+    """Describe a video without a frame that can be decoded."""
     name = code.to_bytes(4, "little").decode("ascii", "replace") if 0 <= code < 2**32 else "?"
     if name in _CODECS:
         return f"is {_CODECS[name]} video, which OpenCV cannot decode here; {_convert(path)}"

@@ -1,7 +1,7 @@
-"""Clock sync by motion: where in a video, and when exactly, a robot answers its commands.
+"""Clock sync by motion: the times in a video at which a robot answers its commands.
 
-The speeds that were seen are slid along those that were commanded; the answers to single commands
-(:mod:`tracking.clock.motor_delay`) then fix the clock, and check that of the flashes.
+The seen speeds are shifted along the commanded ones; then the answers to single commands
+(:mod:`tracking.clock.motor_delay`) fix the clock, and check that of the flashes.
 """
 
 from __future__ import annotations
@@ -25,26 +25,25 @@ from tracking.clock.motor_delay import (
 )
 from tracking.clock.sync import ClockFit
 
-#: The commands of the first so many seconds are looked for in a video.
+#: Duration of the commands that are searched in a video, s.
 TEMPLATE = 120.0
-#: The motion agrees with the commands at least so well (a correlation), and no second place in
-#: the video does so to this fraction of the best.
+#: Smallest correlation of motion and commands, and largest fraction of it at a second position in
+#: the video.
 LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
-#: The clock needs so many changes of speed: a start, a stop, and one between them.
+#: Smallest number of changes of speed for the clock: a start, a stop, and one between them.
 LEAST_CHANGES = 3
-#: Answers are put together over this long before the next ones are predicted from them, s.
+#: Time over which answers are combined before the next ones are predicted from them, s.
 STRETCH = 60.0
-#: Flashes and motion may differ by this, s: a radio takes some of it.
+#: Largest difference of flashes and motion, s, which includes a radio's delay.
 MOST_APART = 0.06
 
 
 def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]) -> ClockFit:
     """Find the robot's clock from commands and motion alone, without any flash.
 
-    On this clock the motors begin to answer at the time of their command. The speeds that were
-    seen are first compared with those that were commanded wherever the commands may lie in the
-    video; the answers to the single commands then fix the clock, stretch by stretch, so that a
-    drift does not add up.
+    On this clock the motors begin to answer at the time of their command. The seen speeds are first
+    compared with the commanded ones at all possible positions in the video; then the answers to
+    single commands fix the clock, stretch by stretch, so that a drift does not add up.
 
     Args:
         times: camera times [N] of the frames, s.
@@ -68,7 +67,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
     while begin <= last:
         near = changes[(changes[:, 0] >= begin) & (changes[:, 0] < begin + STRETCH)]
         begin += STRETCH
-        for _ in range(2):  # once more with the answers in the middle of what is tried
+        for _ in range(2):  # once more with the answers in the middle of the searched range
             answers = answers_to(times + shift, signals, near)
             delay = None if answers is None else delay_of(answers)
             if delay is None or abs(delay.delay) >= REACH - STEP:
@@ -113,7 +112,7 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
     step = max(float(np.median(np.diff(times))), 0.01)
     grid = np.arange(times[0], times[-1], step)
     seen = _speeds(times, signals, grid)
-    # What a mistaken frame gives must not outweigh all the rest.
+    # A wrong frame must not outweigh all others.
     most = np.quantile(np.abs(seen), 0.99, axis=1, keepdims=True) * 1.2
     seen = np.clip(seen, -most, most)
     first = lines[0].time
@@ -133,7 +132,7 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
         if wanted_power < 1e-9 or not moved.any():
             continue
         covered = slide(ones, wanted_speed**2)
-        # Little of the commands in the video would agree with anything.
+        # A small part of the commands would agree with any motion.
         enough = covered > 0.5 * wanted_power
         power = np.maximum(covered * moved_power, 1e-12 * wanted_power * (moved @ moved))
         agreement += np.where(enough, slide(moved, wanted_speed) / np.sqrt(power), 0.0)
@@ -156,9 +155,9 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
 
 
 def _beyond(agreement: NDArray, best: int) -> NDArray[np.bool_]:
-    """Return where [N] a place in the video is not on the flanks of the best one.
+    """Return whether positions [N] in the video are not on the flanks of the best one.
 
-    Long commands that differ little have long flanks. They end at a valley, from where it goes up
+    Long, similar commands have long flanks. They end at a valley, after which the agreement rises
     again by a tenth of the best.
     """
     beyond = np.ones(len(agreement), np.bool_)
@@ -207,7 +206,7 @@ def _speeds(times: NDArray, signals: NDArray, grid: NDArray) -> NDArray:
 
 
 def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float) -> NDArray:
-    """Return [2, N] the commanded forward and turning speeds, behind a lag of 0.1 s."""
+    """Return [2, N] the commanded forward and turning speeds, after a lag of 0.1 s."""
     grid = np.arange(begin, end + 0.5, step)
     current = np.searchsorted([line.time for line in lines], grid, side="right") - 1
     profile = np.array([(line.forward, line.turn) for line in lines], float)[current].T
@@ -219,13 +218,13 @@ def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float
 def disagreement(
     clock: ClockFit, times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]
 ) -> str | None:
-    """Say by how much the clock of the flashes and that of the motion differ, if they do.
+    """Return a sentence about the difference between the clocks of flashes and motion, if any.
 
-    A radio's delay is within what is let pass: 60 ms, and four standard deviations.
+    A radio's delay is accepted: 60 ms, and four standard deviations.
 
     Args:
         clock: by the flashes.
-        times, poses, lines: as :func:`fit_clock_to_motion` takes them.
+        times, poses, lines: as in :func:`fit_clock_to_motion`.
     """
     try:
         motion = fit_clock_to_motion(times, poses, lines)

@@ -1,4 +1,4 @@
-"""When a robot was seen to answer its commands: the dead time and the lag of its motors.
+"""The dead time and the lag of a robot's motors, from the seen answers to its commands.
 
 A wheel that gets another speed continues as before for a dead time d (the radio's, the
 brick's) and then approaches the new speed as exp(-t / T). The path and the heading around the
@@ -8,9 +8,9 @@ instant of a command are therefore
 
 with a, b, c of each command's own and d and T shared. a, b and c are linear and drop out
 (variable projection, Golub and Pereyra 1973), d and T are searched on a grid over all commands
-together. Commands that follow each other too fast for that, as those of a controller in closed
-loop, are answered by sums of such g: there windows of the path take the place of single commands,
-with one c for all changes in a window. The spread of d comes from leaving out one command (or
+together. Commands that follow each other too fast for that, such as a closed-loop controller's, are
+answered by sums of such g: there windows of the path replace single commands, with one c for all
+changes in a window. The spread of d comes from leaving out one command (or
 window) after the other (the jackknife), not from the residuals, which are far from independent.
 """
 
@@ -24,21 +24,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Seconds of track before and after a command that its answer is sought in.
+#: Seconds of track before and after a command in which its answer is searched.
 BEFORE, AFTER = 0.2, 0.45
 #: A change of the forward or of the turning speed below this (percent) is no
-#: event; one command must last this long (s) for the next one's answer to be told from its own.
+#: event; and shortest duration of a command (s) that separates its answer from the next one's.
 LEAST_CHANGE, LEAST_DURATION = 8.0, 0.45
 #: Length of a window where commands follow each other faster, s.
 WINDOW = 1.2
-#: Fewer answers than this fix no delay; windows, each of many commands.
+#: Smallest number of answers for a delay; and of windows, each with many commands.
 FEWEST, FEWEST_WINDOWS = 5, 3
 #: Dead times that are tried, s, and motor lags.
 REACH, STEP = 0.15, 0.002
 LAGS = tuple(0.02 * i for i in range(1, 16))
 
-#: What the shape of the answer is wrong by, s: wheels of a known dead time and lag come out 1 to
-#: 2 ms off however many commands there are.
+#: Error of the answer's shape, s: for wheels of known dead time and lag the result is 1 to 2 ms
+#: off, with any number of commands.
 SYSTEMATIC = 0.002
 
 
@@ -53,13 +53,13 @@ class MotorLine(Protocol):
 
 @dataclass(frozen=True)
 class Delay:
-    """How long after a command's time, on the clock of the track, the motors answered.
+    """The time from a command to the motors' answer, on the clock of the track.
 
     Attributes:
         delay: dead time in seconds, before the motors' own lag begins.
         sd: its standard deviation, from leaving out one answer after the other.
         lag: of the motors, time constant in seconds.
-        answers: how many changes of speed it rests on.
+        answers: number of changes of speed for this result.
     """
 
     delay: float
@@ -72,7 +72,7 @@ class Delay:
 class Answers:
     """Misfits [K, D, T] of K answers at every dead time and lag; their times [K].
 
-    Fewer than ``fewest`` fix no delay.
+    ``fewest`` is the smallest number for a delay.
     """
 
     misfit: NDArray
@@ -81,7 +81,7 @@ class Answers:
 
 
 def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine]) -> Delay | None:
-    """Find how late the motors answered their commands.
+    """Find the delay of the motors' answers to their commands.
 
     Args:
         times: [N] of the poses, on the clock of the commands, s.
@@ -90,7 +90,7 @@ def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine])
 
     Returns:
         The delay, within 0.15 s of the commands' times; None if too few commands changed the
-        speeds to tell, or the answers lie beyond what is looked for.
+        speeds, or the answers are beyond the searched range.
     """
     answers = answers_to(*signals_of(times, poses), changes_of(lines))
     delay = None if answers is None else delay_of(answers)
@@ -127,7 +127,7 @@ def changes_of(lines: Iterable[MotorLine]) -> NDArray:
 
 
 def answers_to(times: NDArray, signals: NDArray, changes: NDArray) -> Answers | None:
-    """Return the misfit of every answer that is seen, over dead times and lags."""
+    """Return the misfit of every seen answer, over dead times and lags."""
     if len(times) < 2 or not len(changes):
         return None
     answers, fewest = [*_single(times, signals, changes)], FEWEST
@@ -196,7 +196,7 @@ def _in_windows(
 
 
 def _seen_in(around: NDArray, length: float, interval: float) -> bool:
-    """Return whether frames cover so long a time, s.
+    """Return whether frames cover a duration, s.
 
     A dropped frame or two do no harm; a robot that is out of sight does.
     """
@@ -218,7 +218,7 @@ def _misfit(around: NDArray, seen: NDArray, shape: NDArray) -> NDArray[np.float6
     shape = shape - np.einsum("nk,dkt->dnt", line, np.einsum("nk,dnt->dkt", line, shape))
     power = np.maximum((shape**2).sum(axis=1), 1e-12)
     misfit = float(rest @ rest) - np.einsum("n,dnt->dt", rest, shape) ** 2 / power
-    # In units of the signal that there was to explain, so that a small one counts less.
+    # In units of the signal, so that a small one counts less.
     noise = max(misfit.min() / max(len(around) - 5, 1), 1e-12)
     return misfit / noise
 
@@ -248,7 +248,7 @@ def _least(misfit: NDArray) -> tuple[float, float]:
 
 
 def _dip(values: NDArray) -> tuple[float, float]:
-    """Return place and value of the least of some values, by the parabola through three."""
+    """Return position and value of the minimum of some values, by the parabola through three."""
     place = min(max(int(values.argmin()), 1), len(values) - 2)
     low, middle, high = (float(v) for v in values[place - 1 : place + 2])
     aside = _vertex(low, middle, high)

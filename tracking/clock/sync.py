@@ -1,9 +1,9 @@
 """Clock sync by flash: the mapping from the camera's clock to the robot's.
 
 The robot's lamp is switched at known times of the robot's clock (section 6.1 of Pretorius et
-al. 2009). The lamp's brightness in the video, frame by frame, is compared with what those times
-would look like: coarsely by sliding the pattern along the video, then to a fraction of a frame
-by how much of each frame's exposure the lamp was on for. A flash at the start fixes the offset,
+al. 2009). The lamp's brightness in the video, frame by frame, is compared with the pattern of these
+times: coarsely by sliding the pattern along the video, then to a fraction of a frame by the part of
+each frame's exposure with the lamp on. A flash at the start fixes the offset,
 a second one at the end the drift.
 """
 
@@ -21,20 +21,20 @@ from neurosim.base.errors import UserError
 
 #: Seconds of lamp off before and after a flash that belong to its pattern.
 CONTEXT = 0.6
-#: Pulses further apart than this are flashes of their own.
+#: Pulses further apart than this are separate flashes.
 GROUP_GAP = 5.0
 #: Two flashes fix the drift only if they are this many seconds apart.
 DRIFT_SPAN = 20.0
 #: Clocks differ by less than this fraction, and by this many seconds over a short time.
 MOST_DRIFT, SLACK = 2e-3, 0.1
-#: A flash correlates at least so much with its pattern, and is so much brighter (of 255).
+#: Smallest correlation of a flash with its pattern, and smallest increase of brightness (of 255).
 LEAST_CORRELATION, LEAST_CONTRAST = 0.75, 2.0
-#: A second place that fits this fraction as well as the first makes it ambiguous.
+#: Fraction of the best fit at a second position that makes the result ambiguous.
 AMBIGUOUS = 0.75
 
 # Exposure times that are tried, as fractions of the time between frames.
 _EXPOSURES = (0.05, 0.25, 0.5, 0.75, 1.0)
-# How far a frame may be from its fraction of full brightness: saturation bends it.
+# Largest error of a frame's fraction of full brightness, because of saturation.
 _FRACTION_NOISE = 0.08
 
 
@@ -110,7 +110,7 @@ def fit_clock(
     shift = _coarse(times, brightness, groups)
     fitted = []
     for group in groups:
-        # The pattern is looked for again near where the first place puts it.
+        # The pattern is searched again near its position by the first flash.
         slack = SLACK + MOST_DRIFT * abs(group[0][0] - groups[0][0][0])
         near = _near(times, brightness, group, shift, slack)
         if near is not None:
@@ -160,7 +160,7 @@ def _coarse(times: NDArray, brightness: NDArray, groups: list[list[tuple[float, 
             slack = SLACK + MOST_DRIFT * abs(group[0][0] - shift - times[0])
             near = np.abs(shifts - shift) <= slack
             rating += float(score[near].max(initial=0.0))
-        # A place at which most of the video would be of nothing is the less likely one.
+        # A position at which most of the video would have no commands is less likely.
         begin, end = groups[0][0][0], groups[-1][-1][1]
         shared = min(times[-1] + shift, end) - max(times[0] + shift, begin)
         possible = min(times[-1] - times[0], end - begin)
@@ -192,7 +192,7 @@ def _slide(
     grid = times[0] + step * np.arange(-pad, int((times[-1] - times[0]) / step) + pad + 1)
     seen = np.isfinite(brightness)
     values = np.interp(grid, times[seen], brightness[seen])
-    # Further than one and a half frames from any that was seen, nothing is known.
+    # Beyond one and a half frames from a seen one, the brightness is unknown.
     weight = (np.abs(grid - _nearest(times[seen], grid)) < 3 * step).astype(float)
     values = np.where(weight > 0, values - np.median(brightness[seen]), 0.0)
 
@@ -246,7 +246,7 @@ def _near(
     shift: float,
     slack: float,
 ) -> float | None:
-    """Return the best shift of one flash near a given one, or None where it is not seen."""
+    """Return the best shift of one flash near a given one, or None if it is not seen."""
     begin, end = group[0][0] - 2 * CONTEXT, group[-1][1] + 2 * CONTEXT
     rows = (times + shift > begin - slack) & (times + shift < end + slack)
     if np.isfinite(brightness[rows]).sum() < 3:
@@ -261,8 +261,8 @@ def _fine(
 ) -> tuple[float, float]:
     """Return mean and standard deviation of the shift, weighted by the fit of the light.
 
-    Where an edge falls between two exposures, a range of shifts explains the frames equally
-    well; the mean stands in its middle.
+    If an edge is between two exposures, a range of shifts fits the frames equally well; the mean is
+    in its middle.
     """
     begin, end = group[0][0] - CONTEXT, group[-1][1] + CONTEXT
     rows = (times + shift > begin) & (times + shift < end) & np.isfinite(brightness)
@@ -295,9 +295,9 @@ def _fraction_lit(times: NDArray, exposure: float, group: Iterable[tuple[float, 
 def _edge_misfits(
     times: NDArray, brightness: NDArray, group: list[tuple[float, float]], fit: ClockFit
 ) -> list[float]:
-    """Return how much later, in seconds, each edge of the lamp is seen than the fit says.
+    """Return the delay, in seconds, of each seen edge of the lamp relative to the fit.
 
-    An edge is where the area under the brightness, from dark to light or back, puts it.
+    The time of an edge comes from the area under the brightness, from dark to light or back.
     """
     frame = float(np.median(np.diff(times)))
     robot = fit.to_robot(times)

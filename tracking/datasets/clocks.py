@@ -2,8 +2,8 @@
 
 A robot answers a command a little later, never earlier. If poses are stamped by another clock, or
 by the time at which they arrived, they seem to answer much later, or before. The motion is
-regressed on the commands of some time before, through lags of several sizes; the time at which
-they explain most is how late the poses are (delay by cross-correlation: Knapp and Carter 1976).
+regressed on earlier commands, through lags of several sizes; the time shift with the best fit is
+the poses' delay (delay by cross-correlation: Knapp and Carter 1976).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from tracking.datasets.logs import Log, is_known
 
-#: Up to this, s, a robot itself may be late; that is for training to find out.
+#: Largest delay of a robot itself, s, which training estimates.
 ROBOTS = 0.5
-#: Poses that are so little early, s, are not: a command is sent within a step of a log.
+#: Earliness of poses that counts as none, s, because a command is sent within a step of a log.
 _EARLY = 0.1
-#: How late (s) poses may be, the grid, lags that are tried (s), and how many steps are looked at.
+#: Largest delay of poses (s), the grid, tried lags (s), and number of steps.
 _EARLIEST, _LATEST, _STEP, _LAGS, _MOST = -2.0, 3.0, 0.05, (0.0, 0.05, 0.1, 0.2, 0.4), 4000
-#: What is left of the motion's variance must be less than this, and less than this fraction of what
-#: is left by the best delay that a robot may have.
+#: Largest remaining fraction of the motion's variance, and of the remainder at a robot's best
+#: possible delay.
 _LEFT, _BETTER = 0.5, 0.8
 
 
 class Lateness(NamedTuple):
-    """How late poses are, s, and what is left then of the motion's variance."""
+    """The delay of poses, s, and the remaining fraction of the motion's variance."""
 
     delay: float
     left: float
@@ -41,8 +41,8 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
 
     Args:
         logs: drives of one robot and one clock.
-        delay: by how much the poses are late, s; None: it is found, and corrected if no robot
-            is so late, or if the poses are early.
+        delay: delay of the poses, s; None: it is estimated, and corrected if it is longer than any
+            robot's, or if the poses are early.
     """
     if delay is None:
         late = lateness(max(logs, key=lambda log: len(log.pose_time)))
@@ -62,7 +62,7 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
 
 
 def lateness(log: Log) -> Lateness | None:
-    """Return how late the poses of a log are; None where the commands explain too little."""
+    """Return the delay of a log's poses; None if the commands explain too little."""
     step = max(_STEP, 2.0 * float(np.median(np.diff(log.time))))
     begin = max(log.time[0], log.pose_time[0]) - _LATEST
     end = min(log.time[-1], log.pose_time[-1]) + _LATEST
@@ -122,7 +122,7 @@ def _features(speeds: NDArray) -> NDArray:
 def _unexplained(
     features: NDArray, given: NDArray, twist: NDArray, known: NDArray, shift: int
 ) -> float:
-    """Return which fraction of the motion's variance commands so many steps before leave, 0..1."""
+    """Return the fraction of the motion's variance that earlier commands leave unexplained."""
     count = len(twist)
     late = slice(max(shift, 0), count + min(shift, 0))
     early = slice(max(-shift, 0), count - max(shift, 0))

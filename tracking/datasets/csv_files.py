@@ -1,13 +1,13 @@
-"""Datasets from tables of numbers that anything can write: logs, and lists of commands.
+"""Datasets from tables of numbers in CSV files: logs, and lists of commands.
 
-Two shapes of file are read. A **log** has a line for every sample: the time, the pose, and the
-command that was in force. It is cut into rows as :mod:`tracking.datasets.logs` says. A file of
-**rows** has a line for every command: the command, how long it lasted, and by how much the robot
-was displaced, or its poses before and after.
+There are two forms of files. A **log** has a line for every sample: the time, the pose, and the
+active command. :mod:`tracking.datasets.logs` cuts it into rows. A file of **rows** has a line for
+every command: the command, its duration, and the robot's displacement, or its poses before and
+after.
 
 The first line names the columns. Fields are separated by commas, semicolons, tabs or blanks;
-numbers have a decimal point. Lengths, angles and times are taken to SI and frames to REP 103 (x
-forward, y left, heading counter-clockwise); commands stay in the units that they have.
+numbers have a decimal point. Lengths, angles and times are converted to SI and frames to REP 103 (x
+forward, y left, heading counter-clockwise); commands keep their units.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from tracking.datasets.suspicious import TIMES, Conventions
 
 #: Columns of a log, in addition to the commands.
 LOG = ("time", "x", "y", "heading")
-#: How long a command of a file of rows lasted, and what it did to the robot.
+#: Columns of a command's duration and displacement in a file of rows.
 LASTED = ("duration",), ("start", "end")
 MOVED = tuple(OUTPUTS)
 POSES = ("x0", "y0", "heading0", "x1", "y1", "heading1")
 _RESERVED = {*LOG, "duration", "start", "end", *MOVED, *POSES}
-#: Columns that a dataset has anyway.
+#: Columns that every dataset has.
 _TAKEN = {"recording", "command", "quality", "row"}
 
-#: Commands that are found by themselves, where no column is named as one; and their units.
+#: Names of command columns that are used by default, and their units.
 _USUAL = (("v", "w"), ("left", "right"))
 _USUAL_UNITS = {"v": "m/s", "w": "rad/s"}
 
-#: Why a line of a file of rows is left out of a dataset.
+#: Reason for leaving out a line of a file of rows.
 ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not known"}
 
-#: Beyond this a number is a mistake, and what is computed from it may not be finite.
+#: Largest number in a file; a larger one is a mistake, and results from it may not be finite.
 _LARGEST = 1e30
 
 _ABSENT = {"", "nan", "na", "n/a", "null", "none"}
@@ -73,27 +73,27 @@ def import_csv(
             recording.
         out: the folder to write; inputs are those of the command before (``prev_...``), the
             command's, and the duration.
-        columns: our name -> the file's name of a column. Ours are time, x, y, heading of a log;
-            of rows duration (or start, end), and dx, dy, dtheta (or x0, y0, heading0, x1, y1,
-            heading1). Those that are not named here are looked up by their own name. Any other
-            name is a command's, in this order; ``prev_`` and such a name is, in a file of rows,
-            the command before. Without commands v, w or left, right are looked for. Names alone,
-            ``("speed", "steer")``, stand for themselves.
+        columns: neurosim's name -> the file's name of a column. The names are time, x, y, heading
+            for a log; for rows duration (or start, end), and dx, dy, dtheta (or x0, y0, heading0,
+            x1, y1, heading1). A name without an entry is itself the column. Any other name is a
+            command's, in this order; in a file of rows, ``prev_`` and such a name is the previous
+            command. Without commands, v, w or left, right are used. Names alone, ``("speed",
+            "steer")``, are their own columns.
         units: command's name -> its unit, for people to read; by default m/s of v, rad/s of w.
-        rows: whether a line is a command rather than a sample; by default what the columns say.
-        from_rest: of rows: the robot stood before each command. Otherwise the command before is
+        rows: whether a line is a command rather than a sample; by default the columns decide.
+        from_rest: for rows: the robot stood before each command. Otherwise the previous command is
             that of the line above, and the robot stood before the first.
         conventions: units and frames.
-        settings: how runs of equal commands in a log become rows.
-        session: the file's name of a column that says which drive a line of a log is of; without,
+        settings: of the conversion of a log to rows.
+        session: the file's name of a column with the drive of each line of a log; without it,
             another drive begins where the clock starts again or is silent for long.
 
     Returns:
-        The dataset; what is odd about its numbers stands in ``meta["warnings"]``, a sentence each.
+        The dataset; ``meta["warnings"]`` has a sentence for each suspicious finding.
 
     Raises:
         FileError: naming the file, and the missing or wrong line and column.
-        UserError: if columns or units make no sense, no row is left, or ``out`` is taken.
+        UserError: if columns or units make no sense, no row is left, or ``out`` exists.
 
     Example:
         >>> lines = ["duration,v,w,dx,dy,dtheta"]
@@ -186,7 +186,7 @@ def import_csv(
 
 
 def _names_of(paths: Sequence[Path]) -> list[str]:
-    """Return a name of its own for each file, its stem if these differ."""
+    """Return a unique name for each file, its stem if these differ."""
     if not paths:
         raise UserError("name at least one file")
     resolved = [path.resolve() for path in paths]
@@ -201,7 +201,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"commands are {', '.join(names)}"
 
 
-# The two shapes
+# The two forms
 
 
 def _shape(table: _Table, rows: bool | None) -> str:
@@ -266,7 +266,7 @@ def _logs(
     settings: logs.Settings,
     session: str | None,
 ) -> tuple[list[logs.Log], list[str]]:
-    """Read a log; return its drives, and sentences on what was found in it."""
+    """Read a log; return its drives, and sentences on findings."""
     time = table.numbers("time") * TIMES[conventions.time]
     values = table.array(commands)
     poses = conventions.poses(table.array(LOG[1:], optional=True))
@@ -346,7 +346,7 @@ def _rows(
 
 
 def _before(table: _Table, commands: Sequence[str], values: NDArray, from_rest: bool) -> NDArray:
-    """Return the command before each line's (N, C)."""
+    """Return the previous command of each line (N, C)."""
     names = [f"prev_{name}" for name in commands]
     if table.has_any(names):
         if from_rest:
@@ -362,7 +362,7 @@ def _before(table: _Table, commands: Sequence[str], values: NDArray, from_rest: 
 
 
 def _duration(table: _Table, conventions: Conventions) -> NDArray:
-    """Return how long each line's command lasted (N,), s."""
+    """Return the duration of each line's command (N,), s."""
     scale = TIMES[conventions.time]
     lasted, timed = LASTED
     if table.has_any(lasted) or not table.has_any(timed):
@@ -376,7 +376,7 @@ def _duration(table: _Table, conventions: Conventions) -> NDArray:
 
 
 def _displacement(table: _Table, conventions: Conventions) -> NDArray:
-    """Return by how much each line's command displaced the robot (N, 3), NaN where not known."""
+    """Return the displacement by each line's command (N, 3), NaN if unknown."""
     if table.has_any(MOVED) or not table.has_any(POSES):
         moved = conventions.poses(table.array(MOVED, optional=True))
         if conventions.frame == "world":
@@ -392,14 +392,14 @@ def _displacement(table: _Table, conventions: Conventions) -> NDArray:
     headings = np.concatenate([before[:, 2], after[:, 2]])
     headings = headings[np.isfinite(headings)]
     if headings.size and np.ptp(headings) <= 2 * np.pi + 1e-3:
-        # Headings that never leave one turn are wrapped: the robot turned the shorter way round.
+        # Headings within one turn are wrapped: the robot turned the shorter way.
         turn = after[:, 2] - before[:, 2]
         after[:, 2] -= 2 * np.pi * np.round(turn / (2 * np.pi))
     return se2.between(before, after)
 
 
 def _wrapped(moved: suspicious.Moved, duration: NDArray) -> list[str]:
-    """Return a sentence where rows turned by more than half a turn, and seem not to."""
+    """Return a sentence if rows probably turned over half a turn, but have the shorter turn."""
     count = suspicious.wrapped(moved, duration)
     if not count:
         return []
@@ -413,12 +413,12 @@ def _wrapped(moved: suspicious.Moved, duration: NDArray) -> list[str]:
 
 
 class _Table:
-    """The lines of a file, and the columns that are asked for.
+    """The lines of a file, and its columns.
 
     Attributes:
         path: the file.
-        columns: our name -> the file's name.
-        header_line: where the names stand, from 1.
+        columns: neurosim's name -> the file's name.
+        header_line: number of the line with the names, from 1.
     """
 
     def __init__(self, path: Path, columns: Mapping[str, str]):
@@ -452,11 +452,11 @@ class _Table:
         return ", ".join(name for name in self._header if name)
 
     def has(self, name: str) -> bool:
-        """Return whether there is a column for one of our names."""
+        """Return whether there is a column for a name of neurosim."""
         return self.columns.get(name, name) in self._header
 
     def has_any(self, names: Sequence[str]) -> bool:
-        """Return whether any of our names has a column, in the file or by --columns."""
+        """Return whether any of these names has a column, in the file or by --columns."""
         return any(name in self.columns or self.has(name) for name in names)
 
     def array(self, names: Sequence[str], *, optional: bool = False) -> NDArray:
@@ -464,10 +464,10 @@ class _Table:
         return np.column_stack([self.numbers(name, optional=optional) for name in names])
 
     def numbers(self, name: str, *, optional: bool = False) -> NDArray:
-        """Return a column (N,) by our name; NaN where a number is not given, if it may be absent.
+        """Return a column (N,) by neurosim's name; NaN for a missing number, if that is allowed.
 
         Raises:
-            FileError: if there is no such column, there are two, or a field is no number.
+            FileError: if the column is missing or doubled, or a field is not a number.
         """
         theirs = self.columns.get(name, name)
         if theirs not in self._header:
@@ -483,7 +483,7 @@ class _Table:
             raise FileError(
                 self.path, "there are two such columns", line=self.header_line, field=theirs
             )
-        try:  # all at once, if they are what they are to be
+        try:  # all at once, if all are valid
             values = self._fields[theirs].to_numpy().astype(float)
         except ValueError:
             values = np.full(1, math.nan)
@@ -494,7 +494,7 @@ class _Table:
         return np.array(files.parsed(self.path, self._fields[theirs], parse, expected))
 
     def texts(self, column: str) -> list[str]:
-        """Return a column (N,) by the file's name, as it stands there."""
+        """Return a column (N,) of text by the file's name."""
         if column not in self._header:
             raise FileError(
                 self.path,
@@ -509,7 +509,7 @@ class _Table:
         files.refuse_lines(self.path, self._fields, wrong, what, self.columns.get(name, name))
 
     def check_increasing(self, name: str, times: NDArray) -> None:
-        """Refuse times (N,) that stand still or go backwards."""
+        """Raise an error for times (N,) that do not increase."""
         steps = np.diff(times, prepend=-np.inf)
         self.refuse(steps == 0, name, "the same time stands in two lines")
         self.refuse(steps < 0, name, "the clock goes backwards")
@@ -526,7 +526,7 @@ def _text(path: Path) -> str:
 
 
 def _header_place(lines: Sequence[str]) -> int:
-    """Return which line has the names: the first one, or the last remark where numbers follow."""
+    """Return the number of the line of names: the first, or the last remark before numbers."""
     place = 0
     while place < len(lines) - 1 and lines[place].startswith("#"):
         place += 1

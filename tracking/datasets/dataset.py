@@ -1,11 +1,10 @@
-"""Datasets: one row per command, what was sent and how the robot was displaced by it.
+"""Datasets: one row per command, with the command and the displacement that it caused.
 
-A dataset is a folder: ``dataset.csv`` with the columns ``recording, command, <inputs>,
-<outputs>, quality`` and, where it is known, ``start_x, start_y, start_theta``; and
-``dataset.json``, which names inputs and outputs with their units, says from which files the rows
-came and counts by reason what was left out. Another robot's inputs may be others, which is why the
-names stand in the file. Where the robot was seen while commands were going on, ``within.csv`` holds
-poses at some instants of them (:mod:`tracking.datasets.within`).
+A dataset is a folder: ``dataset.csv`` with the columns ``recording, command, <inputs>, <outputs>,
+quality`` and, if known, ``start_x, start_y, start_theta``; and ``dataset.json``, which has the
+names and units of inputs and outputs, the source files, and the numbers of left-out commands by
+reason. The names are in the file because inputs differ between robots. If the robot was seen during
+commands, ``within.csv`` has poses at some instants of them (:mod:`tracking.datasets.within`).
 
 The outputs are the displacement (dx, dy, dtheta) of the middle of the axle in the robot's frame
 at the command's start, REP 103: the dy of Pretorius et al. (2009) is dx here, its dx is -dy.
@@ -40,36 +39,36 @@ FORMAT, VERSION = "neurosim-dataset", 2
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
-#: Where the robot was when a command began, in the recording's frame (m, m, rad), if it is known.
+#: Columns of the pose at a command's beginning, in the recording's frame (m, m, rad), if known.
 STARTS = ("start_x", "start_y", "start_theta")
 
 
 def inputs_of(takes: Commands) -> dict[str, str]:
-    """Return the inputs of a robot with these commands, with units: the command before, and it."""
+    """Return the inputs of a robot with these commands, with units: previous and next command."""
     units = takes.units
     return {**{f"prev_{name}": unit for name, unit in units.items()}, **units, "duration": "s"}
 
 
-#: Nothing can be learned from fewer rows; importers warn, training refuses.
+#: Smallest number of rows for training; importers warn about fewer.
 FEWEST_ROWS = 20
 
 
 @dataclass
 class Dataset:
-    """Commands and the displacements they caused, in the order in which they were given.
+    """Commands and the displacements that they caused, in the order of the commands.
 
     Attributes:
-        table: columns recording, command, the inputs, the outputs, quality; and :data:`STARTS`,
-            where it is known of every row.
+        table: columns recording, command, the inputs, the outputs, quality; and :data:`STARTS`, if
+            known for every row.
         inputs: names of the input columns.
         outputs: names of the output columns.
-        meta: what dataset.json says: inputs and outputs [{name, unit}], sources
+        meta: content of dataset.json: inputs and outputs [{name, unit}], sources
             [{path, sha256}], rows, left_out {reason: count}, settings, and more.
         within: poses at instants within the commands, columns row (place in ``table``), time
             (s since the command's beginning), dx, dy (m), dtheta (rad) since that beginning, in
-            the robot's frame there; in the order of row and time, no lines where there are none.
-        readings: of the robot's sensors, and where it was then, as
-            :mod:`tracking.datasets.readings` says; of all recordings, whichever rows are kept.
+            the robot's frame there; in the order of row and time; empty if there are none.
+        readings: readings of the robot's sensors with its poses, see
+            :mod:`tracking.datasets.readings`; of all recordings, also without kept rows.
     """
 
     table: pd.DataFrame
@@ -91,7 +90,7 @@ class Dataset:
         return self.table[list(self.outputs)].to_numpy(np.float64, copy=True)
 
     def start_array(self) -> NDArray[np.float64] | None:
-        """Return where the robot was when each command began (N, 3) m, m, rad; None: not known."""
+        """Return the pose at each command's beginning (N, 3) m, m, rad; None: unknown."""
         if STARTS[0] not in self.table:
             return None
         return self.table[list(STARTS)].to_numpy(np.float64, copy=True)
@@ -99,8 +98,8 @@ class Dataset:
     def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
         """Split by time into the earlier rows and the last ``held_out`` fraction of them.
 
-        Of equal rows only the first counts (:meth:`once`), so that none is in both parts. The first
-        part has floor((1 - held_out) N) of the N rows that are left.
+        Of equal rows only the first counts (:meth:`once`), so that no row is in both parts. The
+        first part has floor((1 - held_out) N) of the N rows that are left.
 
         Raises:
             UserError: if either part would be empty.
@@ -119,9 +118,9 @@ class Dataset:
 
     @property
     def joined(self) -> NDArray[np.bool_] | None:
-        """Whether each row (N,) begins where that before it ended; None: rows are on their own.
+        """Whether each row (N,) begins at the end of the previous one; None: rows are independent.
 
-        They are on their own unless ``meta["windows"]`` says that rows follow one another.
+        They are independent unless ``meta["windows"]`` says that rows follow one another.
         """
         if not self.meta.get("windows"):
             return None
@@ -132,9 +131,9 @@ class Dataset:
 
     @property
     def repeated(self) -> int:
-        """How many rows have the inputs and outputs of an earlier one, to the last digit.
+        """Number of rows with exactly the inputs and outputs of an earlier one.
 
-        No robot does the same twice as exactly as that: such rows are copies.
+        No robot repeats a motion so exactly: such rows are copies.
         """
         return int(self._is_repeated().sum())
 
@@ -166,7 +165,7 @@ class Dataset:
         """Write the dataset to a new folder, whole or not at all.
 
         Raises:
-            UserError: if there is something at ``folder``.
+            UserError: if ``folder`` exists.
         """
         with files.new_folder(folder) as partial:
             columns = {name: self.table[name].tolist() for name in self.table.columns}
@@ -185,8 +184,8 @@ class Dataset:
 
         Raises:
             FileError: naming file, line and field: a missing file or column, another version,
-                a word or NaN where a number belongs, no rows, fewer rows or poses than were
-                written, or a pose that is not within a command.
+                a word or NaN instead of a number, no rows, missing rows or poses, or a pose that is
+                not within a command.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -231,17 +230,17 @@ def make(
     settings: Mapping[str, Any],
     **more: Any,
 ) -> Dataset:
-    """Make a dataset of rows.
+    """Make a dataset from rows.
 
     Args:
         rows: one mapping per row, with recording, command, every input and output, quality;
-            ``start``, the pose (m, m, rad) where the command began, if that is known; and
-            ``within``, where there are any, the poses within the command in the order of time:
-            a sequence of mappings with time, dx, dy, dtheta.
+            ``start``, the pose (m, m, rad) at the command's beginning, if known; and ``within``, if
+            any, the poses within the command in the order of time: a sequence of mappings with
+            time, dx, dy, dtheta.
         inputs: name of every input column -> its unit.
         sources: path and sha256 of the files that the rows came from.
-        left_out: reason -> count of what gave no row.
-        settings: how the rows were taken.
+        left_out: reason -> number of commands without a row.
+        settings: settings of the import.
         more: further keys of dataset.json.
 
     Raises:
@@ -283,19 +282,19 @@ def build(
 ) -> Dataset:
     """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
 
-    Where commands change all the time, rows follow one another (:mod:`tracking.datasets.driven`).
+    If commands change all the time, rows follow one another (:mod:`tracking.datasets.driven`).
 
     Args:
         recordings: folders with commands.csv and poses.csv, in the order of their recording.
         out: the folder to write.
-        settings: how displacements are taken from the track, and what is left out.
-        correct_delay: whether displacements count from when the motors were seen to answer
-            rather than from when the commands were sent.
+        settings: of displacements, and of commands to leave out.
+        correct_delay: whether displacements begin at the motors' answers instead of the times of
+            sending.
         mixed: whether recordings may be of different robots.
         doubtful: whether doubtful poses count, too.
-        windows: whether rows follow one another, to be learned from by windows; None: where a
-            person gave the commands, or most of a recording's last less than 0.5 s and fewer than
-            100 of all last longer.
+        windows: whether rows follow one another, for learning from windows; None: if a person gave
+            the commands, or most of a recording's are shorter than 0.5 s and fewer than 100 of all
+            are longer.
 
     Raises:
         FileError: if a recording's files are missing or wrong, or its clock goes backwards.
@@ -326,7 +325,7 @@ def build(
             recording, settings, correct_delay=correct_delay, doubtful=doubtful
         )
         if chained:
-            measured.corrected.clear()  # the delay is learned with the rest
+            measured.corrected.clear()  # training estimates the delay
             stretches, notes = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
             drives += stretches
             warnings += [f"{name}: {sentence}" for sentence in notes]
@@ -381,7 +380,7 @@ def build(
         markers=markers,
         robots=robots,
         virtual=virtual,
-        # Of several boards none is that of a drive to come.
+        # With several boards, the one of later drives is unknown.
         perimeter=perimeters[0].describe() if len(set(perimeters)) == 1 else None,
     )
     dataset.readings = sensor_readings.joined(readings)
@@ -390,10 +389,10 @@ def build(
 
 
 def _changes_fast(recordings: Sequence[Path], windows: bool | None) -> bool:
-    """Return whether rows are to follow one another.
+    """Return whether rows follow one another.
 
     Raises:
-        UserError: if they are not to, and nobody planned how long commands last.
+        UserError: if they should not, but commands have no planned durations.
     """
     every = [Recording(path) for path in recordings]
     if windows is None:
@@ -409,12 +408,12 @@ def _changes_fast(recordings: Sequence[Path], windows: bool | None) -> bool:
     return windows
 
 
-#: What of a robot's description tells it from another, or its commands from another's.
+#: Keys of a robot's description that differ between robots, or between their commands.
 _IDENTITY = ("dialect", "name", "address", "virtual", "invert", "full_speed", "speed_unit")
 
 
 def _check_one_robot(recordings: Sequence[Path]) -> None:
-    """Refuse recordings of different robots: one simulator cannot be right about both."""
+    """Raise an error for recordings of different robots: one simulator cannot fit both."""
     first: dict[str, Any] | None = None
     for path in recordings:
         meta = Recording(path).meta
@@ -447,7 +446,7 @@ def _recording_names(paths: Sequence[Path]) -> list[str]:
 
 
 def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[str, Any]:
-    """Report how cutting commands short at the lines has thinned out the data.
+    """Report how cutting commands at the lines has changed the data.
 
     A command that goes far is more likely to meet a line: without a counter-measure the
     commands that were completed are slower, shorter and turn more than those that were sent.

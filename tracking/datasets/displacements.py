@@ -1,9 +1,8 @@
 """Poses at the instants of motor commands, and the displacement that each command caused.
 
-A camera sees the robot at its frames, not at its commands, and a robot that goes from one
-command straight into the next changes its velocity just after each of those instants. The pose
-at an instant is therefore fitted to the frames just before it, through which the robot moved
-steadily, and one frame after it, which it reaches before the motors have answered: a
+Frames are not at the instants of commands, and a robot without pauses changes its velocity just
+after each of these instants. So the pose at an instant is fitted to the frames just before it, in
+which the robot moved steadily, and one frame after it, before the motors have answered: a
 constant-twist fit (heading linear in time, position on the arc that such a heading gives). On
 simulated wheels that answer 20 to 40 ms late with a lag of 0.1 s, five frames before and one
 after leave a bias of 0.01 mm and 0.01 degrees and three quarters of the noise that
@@ -27,7 +26,7 @@ from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.datasets.recordings import CommandLine, Poses, Recording
 from tracking.datasets.within import choose_instants, poses_within
 
-#: Why a command is left out of a dataset.
+#: Reasons for leaving a command out of a dataset.
 REASONS = {
     "cut": "cut short at a line",
     "incomplete": "the session or the video ended before the command did",
@@ -38,14 +37,14 @@ REASONS = {
 }
 
 
-#: A motor delay is corrected if it rests on so many answers and is so many of its standard
-#: deviations from none: a wrong correction would be worse than none.
+#: Smallest number of answers, and smallest delay in standard deviations, for correcting a motor
+#: delay: a wrong correction would be worse than none.
 FEWEST_ANSWERS, SIGNIFICANT = 20, 2.0
 
 
 @dataclass(frozen=True)
 class Settings(Checked):
-    """How displacements are taken from a track.
+    """Settings of displacements from a track.
 
     Attributes:
         fit_before: time before an instant whose frames the pose is fitted to, s.
@@ -82,9 +81,9 @@ class Displacements:
         sent: every command as often as it was sent, dicts with its numbers by name, ``forward``
             and ``turn`` (percent), duration, attempt (from 1) and ``fate``: ``cut``,
             ``completed`` or ``other``.
-        delays: of every session in which it could be found, how late the motors answered
+        delays: the motors' delay of every session in which it could be estimated
             (:class:`tracking.clock.motor_delay.Delay`).
-        corrected: the sessions whose displacements count from that later instant.
+        corrected: the sessions whose displacements begin at that later instant.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -101,7 +100,7 @@ class Track:
         times: (N,) increasing, s.
         poses: (N, 3) x, y in m and unwrapped theta in rad; NaN where the robot was not seen.
         quality: (N,) 0..1.
-        settings: how poses are taken from it.
+        settings: of poses and displacements.
     """
 
     def __init__(
@@ -119,7 +118,7 @@ class Track:
         )
 
     def pose_at(self, time: float, steady_since: float = -np.inf) -> tuple[NDArray, float] | None:
-        """Return the pose (3,) at ``time`` and its quality, or None where the track is lost.
+        """Return the pose (3,) at ``time`` and its quality, or None if the track is lost.
 
         Args:
             time: the instant, on the robot's clock.
@@ -137,7 +136,7 @@ class Track:
         return pose, float(self.quality[after - 1 : after + 1].min())
 
     def within(self, begin: float, duration: float) -> tuple[NDArray, NDArray]:
-        """Return some of the frames within a command that begins at ``begin`` and lasts so long.
+        """Return some of the frames in a command that begins at ``begin`` and has this duration.
 
         Returns:
             times: (K,) s since ``begin``.
@@ -149,7 +148,7 @@ class Track:
         return times[chosen], self.poses[since][chosen]
 
     def trouble(self, start: float, end: float) -> str | None:
-        """Return why the stretch from ``start`` to ``end`` is of no use, or None."""
+        """Return the reason why the stretch from ``start`` to ``end`` is unusable, or None."""
         first = max(int(np.searchsorted(self.times, start, side="right")) - 1, 0)
         last = int(np.searchsorted(self.times, end, side="left"))
         if (np.diff(self.times[first : last + 1]) > self.settings.longest_gap).any():
@@ -189,11 +188,11 @@ def displacements(
     correct_delay: bool = True,
     doubtful: bool = False,
 ) -> Displacements:
-    """Take the displacement of every complete command of a tracked recording.
+    """Compute the displacement of every complete command of a tracked recording.
 
     The motors go from one command straight into the next, so a command's displacement runs
-    from its own time to the time of the next line that was sent to the motors. Both times are
-    later by the motors' delay of that session where one was found with enough certainty.
+    from its own time to the time of the next line that was sent to the motors. Both times are later
+    by the session's motor delay, if it is certain enough.
 
     Args:
         recording: a tracked recording.
@@ -313,7 +312,7 @@ def _displacement(
     if trouble is not None:
         return trouble
     dx, dy, dtheta = (float(value) for value in se2.between(start[0], end[0]))
-    # A command that was held longer than planned has ended, by its row, when it was to end.
+    # In its row, a command that was held too long ends at its planned time.
     times, poses = track.within(line.time, min(line.duration, after.time - line.time))
     return {
         "dx": dx,

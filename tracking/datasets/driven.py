@@ -1,9 +1,8 @@
-"""Recordings in which commands change all the time, as logs: driven by hand, or by a network.
+"""Recordings whose commands change all the time, by hand or by a network, as logs.
 
-A stretch is a run of commands that follow one another, up to the line that ends the last: what
-happens after a robot was stopped, until its next command, is no data (it may be carried), nor are
-manoeuvres of the guard. Commands stand at the times at which they were sent; how late the motors
-answer is learned with the rest.
+A stretch is a run of commands that follow one another, up to the line that ends the last. The time
+after a stop until the next command is left out (the robot may be carried), and so are manoeuvres of
+the guard. Commands have their times of sending; training estimates the motors' delay.
 """
 
 from __future__ import annotations
@@ -17,13 +16,12 @@ from tracking.datasets.logs import Log, Settings
 from tracking.datasets.recordings import CommandLine, Poses, Recording
 from tracking.datasets.sessions import sessions_of
 
-#: A log begins so long, s, before its first command: where the robot was then is known by frames
-#: before it.
+#: Time from a log's beginning to its first command, s, so that the first pose has frames before it.
 LEAD = 0.25
 
 
 def lasting(recording: Recording, shortest: float) -> tuple[int, int]:
-    """Return how many commands were planned to last so long (s) or longer, and how many shorter."""
+    """Return the counts of commands with at least a planned duration (s), and with shorter ones."""
     table = recording.commands()
     planned = table.loc[table["kind"] == "command", "duration"]
     return int((planned >= shortest).sum()), int((planned < shortest).sum())
@@ -41,7 +39,7 @@ def logs_of(
         doubtful: whether doubtful poses count, too.
 
     Returns:
-        Logs, and a sentence for whatever was odd about their poses.
+        Logs, and a sentence for each suspicious finding in their poses.
 
     Raises:
         FileError: if commands.csv or poses.csv is missing or wrong somewhere.
@@ -64,8 +62,8 @@ def _runs(
 ) -> Iterator[tuple[list[CommandLine], tuple[float, ...], float]]:
     """Give the commands of each stretch with the line that ends it.
 
-    With it the command before, and since when that was driven, s. The last command of a session
-    that was interrupted has no end: it ends the stretch.
+    Also give the previous command and its beginning, s. The last command of an interrupted session
+    has no end: it ends the stretch.
     """
     run: list[CommandLine] = []
     session, last = None, (rest, -np.inf)
@@ -95,7 +93,7 @@ def _log_of(
     name: str,
     settings: Settings,
 ) -> tuple[list[Log], list[str]]:
-    """Return a stretch as a log: a sample at each command, and at each frame meanwhile."""
+    """Return a stretch as a log: a sample at each command, and at each frame in between."""
     sent = np.array([line.time for line in run])
     begin = max(since, sent[0] - LEAD)
     frames = (poses.time >= begin) & (poses.time <= sent[-1])

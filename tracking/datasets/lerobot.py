@@ -1,7 +1,7 @@
 """Recordings as a dataset of LeRobot, format v3.0: Parquet, MP4 and JSON.
 
-One episode for each session, from its first command until the motors stopped, at a constant frame
-rate. Each episode has data and video files of its own.
+There is one episode for each session, from its first command until the motors stopped, at a
+constant frame rate. Each episode has its own data and video files.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from neurosim.base.files import check_new_folder, new_folder, sha256
 from tracking.camera.video import Video
 from tracking.datasets.recordings import Recording
 
-#: The version of the format, and the files of it.
+#: Version of the format, and its files.
 VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -29,9 +29,9 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 CAMERA = "observation.images.camera"
 #: Files in a folder of the format, at most; pictures of a video of which statistics are made.
 CHUNK, LOOKS = 1000, 50
-#: H.264 for training: every other frame can be decoded by itself, none waits for a later one.
+#: H.264 for training: every second frame can be decoded by itself, and no frame needs a later one.
 _ENCODED = {"crf": "23", "g": "2", "bf": "0"}
-#: The robot still moves for so long after its motors stopped, s.
+#: Time for which the robot still moves after a stop, s.
 AFTER = 0.5
 
 
@@ -65,14 +65,14 @@ def export_lerobot(
     Args:
         folders: recordings of the same robot and camera, tracked.
         out: the new folder.
-        fps: frames a second; by default as the camera filmed.
+        fps: frames a second; by default the camera's.
 
     Returns:
         ``episodes``, ``frames``, ``fps`` and the names of the ``features``.
 
     Raises:
         UserError: if pyarrow or av is missing, a recording is not tracked, recordings differ in
-            their commands, sensors or pictures, or something stands at ``out``.
+            their commands, sensors or pictures, or ``out`` exists.
     """
     try:
         import av  # noqa: F401  (for the videos, below)
@@ -185,7 +185,7 @@ def export_lerobot(
 
 
 def _fps(recording: Recording) -> int:
-    """Return the frame rate of a recording, a whole number as the format has it."""
+    """Return the frame rate of a recording, a whole number for the format."""
     given = recording.meta.get("camera", {}).get("fps")
     if isinstance(given, int | float) and given >= 1:
         return round(given)
@@ -197,7 +197,7 @@ def _fps(recording: Recording) -> int:
 def _episode(
     recording: Recording, session: int, fps: int, names: Mapping[str, list[str]]
 ) -> _Episode | None:
-    """Return a session; None where no command was sent in it."""
+    """Return a session; None if it has no command."""
     if list(recording.takes.names) != names["action"]:
         raise UserError(f"{recording.path} has other commands than the first recording")
     table = recording.commands()
@@ -292,7 +292,7 @@ def _film(
     colours: list[NDArray] = []
     written = 0
     with Video(video) as film, av.open(str(out), "w") as container:
-        width, height = size = film.size[0] // 2 * 2, film.size[1] // 2 * 2  # as H.264 wants them
+        width, height = size = film.size[0] // 2 * 2, film.size[1] // 2 * 2  # even sizes for H.264
         stream = container.add_stream("libx264", rate=fps, options=_ENCODED)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for number, _, picture in film:
@@ -343,7 +343,7 @@ def _features(
 
 
 def _array(pa: Any, values: NDArray[np.float32]) -> Any:
-    """Return a column: numbers of one, else lists of as many."""
+    """Return a column: numbers for one value, else lists."""
     if values.shape[1] == 1:
         return pa.array(values[:, 0])
     return pa.FixedSizeListArray.from_arrays(pa.array(values.reshape(-1)), values.shape[1])

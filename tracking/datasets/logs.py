@@ -6,8 +6,8 @@ previous command of a piece is that of the sample just before its first.
 
 Where commands change sooner, as a person's or a controller's do, few rows or none are left. Then
 the whole log becomes rows that follow one another (:func:`chained_rows_of`): pieces of equal
-commands, and of those that are shorter than 0.1 s so many together as last that long, with their
-mean. Training composes them to windows of the log with all the commands in them.
+commands; pieces shorter than 0.1 s are joined to this length, with their mean command. Training
+composes them to windows of the log with all their commands.
 """
 
 from __future__ import annotations
@@ -26,18 +26,19 @@ from neurosim.base.declared import Checked, Delay, Seconds
 from neurosim.base.errors import UserError
 from tracking.datasets.within import choose_instants, poses_within
 
-#: Why a piece of a log is left out of a dataset.
+#: Reasons for leaving a piece of a log out of a dataset.
 REASONS = {
     "too short": "the command changed again too soon",
     "first": "the command before the first one is not known",
     "gap": "no sample or no pose for too long",
 }
 
-#: Where fewer commands than this are held, rows may follow one another; so many, at least.
+#: Number of held commands below which rows may follow one another, and smallest number of such
+#: rows.
 FEW, LEAST = 100, 20
-#: There, poses within rows are so far apart, s.
+#: Time between poses within such rows, s.
 _WITHIN = 0.25
-#: The motion of this time, s, says what came before the first command.
+#: Duration of the motion that determines the command before the first one, s.
 _AT_FIRST = 0.2
 
 #: Times are written to the millisecond; a piece of 60 samples at 20 Hz lasts 3 s give or take one.
@@ -46,7 +47,7 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True)
 class Settings(Checked):
-    """How runs of equal commands become rows.
+    """Settings of the conversion of a log to rows.
 
     Attributes:
         shortest: shortest piece that gives a row, s.
@@ -88,7 +89,7 @@ class Log:
         seen: (N,) whether a pose within a command may be taken at this sample.
         pose_time: (M,) of the poses, s, increasing.
         poses: (M, 3) x, y in m, unwrapped heading in rad, none of them NaN; REP 103.
-        before: (C,) the command before the first one, where it is known.
+        before: (C,) the command before the first one, if known.
     """
 
     name: str
@@ -119,7 +120,7 @@ def rows_of(
     Args:
         log: commands and poses.
         names: of the C columns of its commands.
-        settings: how runs become rows.
+        settings: of the conversion to rows.
 
     Returns:
         rows: as :func:`tracking.datasets.dataset.make` takes them, with poses within.
@@ -173,8 +174,8 @@ def pieces(time: NDArray, commands: NDArray, longest: float) -> Iterator[tuple[i
     """Yield first and end sample of every piece of equal commands, the short ones too.
 
     Args:
-        time: (N,) s. The last sample only ends the run before it: nobody knows how long it was
-            held itself.
+        time: (N,) s. The last sample only ends the previous run, because its own duration is
+            unknown.
         commands: (N, C).
         longest: the longest piece, s.
     """
@@ -207,9 +208,9 @@ def _silent(times: NDArray, begins: NDArray, ends: NDArray, longest: float) -> N
 
 
 def is_known(pose_times: NDArray, begins: NDArray, lasts: float) -> NDArray[np.bool_]:
-    """Return whether there are poses (M,) all along spans that begin at (K,) and last so long, s.
+    """Return whether poses (M,) cover spans that begin at (K,) and have these durations, s.
 
-    They are if none is missing for longer than half of the span.
+    They do if no gap is longer than half of the span.
     """
     inside = (begins >= pose_times[0]) & (begins + lasts <= pose_times[-1])
     return inside & ~_silent(pose_times, begins, begins + lasts, lasts / 2)
@@ -221,13 +222,13 @@ def is_known(pose_times: NDArray, begins: NDArray, lasts: float) -> NDArray[np.b
 def any_rows_of(
     logs: Sequence[Log], names: Sequence[str], settings: Settings
 ) -> tuple[list[dict[str, Any]], dict[str, int], bool]:
-    """Turn logs into rows: of held commands, or such that follow one another.
+    """Turn logs into rows: of held commands, or rows that follow one another.
 
-    Without the user's word, rows follow one another where fewer than :data:`FEW` commands were held
-    for long enough, and that makes twice as many rows or more, and :data:`LEAST`.
+    By default, rows follow one another if fewer than :data:`FEW` commands were held for long
+    enough, and this gives at least twice as many rows, and :data:`LEAST`.
 
     Returns:
-        rows and left_out as of :func:`rows_of`, and whether rows follow one another.
+        rows and left_out as in :func:`rows_of`, and whether rows follow one another.
     """
     if settings.windows:
         return (*_joined(chained_rows_of(log, names, settings) for log in logs), True)
@@ -256,7 +257,8 @@ def chained_rows_of(
     """Turn a log into rows that follow one another, as :func:`rows_of`.
 
     A row whose ``command`` is one more than that of the row above begins where that one ended. The
-    command before the first is inferred from the robot's motion: it stood, or obeyed its commands.
+    command before the first is inferred from the robot's motion: it stood, or followed the first
+    command.
     """
     first = log.before if log.before is not None else _first(log)
     # From the first pose to the last one.
@@ -275,7 +277,7 @@ def chained_rows_of(
     spent = np.cumsum(spent, axis=0)
     lasts = np.round(ends - begins, 6)
     mean = (spent[starts[1:]] - spent[starts[:-1]]) / (ends - begins)[:, None]
-    # A mean of equal commands is that command, to the last digit.
+    # The mean of equal commands is exactly that command.
     changes = np.concatenate([[0], np.cumsum((np.diff(commands, axis=0) != 0).any(axis=1))])
     same = changes[starts[1:] - 1] == changes[starts[:-1]]
     commanded = np.where(same[:, None], commands[starts[:-1]], mean)
@@ -319,7 +321,7 @@ def _spread(times: NDArray, duration: float) -> NDArray:
 
 
 def _steps(time: NDArray, commands: NDArray, settings: Settings) -> list[int]:
-    """Return at which samples rows begin, and the last one ends."""
+    """Return the samples at which rows begin, and the last one ends."""
     changes = np.flatnonzero((np.diff(commands, axis=0) != 0).any(axis=1)) + 1
     runs, moments = [*changes.tolist(), len(time) - 1], time.tolist()
     starts, run = [0], 0
@@ -339,7 +341,7 @@ def _steps(time: NDArray, commands: NDArray, settings: Settings) -> list[int]:
 
 
 def _first(log: Log) -> NDArray:
-    """Return the command before the first one: that one, or to stand if the robot stood."""
+    """Return the command before the first one: the same, or a stop if the robot stood."""
     changes = (np.diff(log.commands, axis=0) != 0).any(axis=1)
     end = int(np.argmax(changes)) if changes.any() else len(log.time) - 1
     span = min(_AT_FIRST, (log.time[end] - log.time[0]) / 3)

@@ -1,14 +1,14 @@
-"""Readings of sensors, and where the robot was and how it moved when they were taken.
+"""Readings of sensors, with the robot's pose and motion at their times.
 
-While a recording is made, the robot's sensors may be read all the time (``observations.csv``).
-``readings.csv`` in the folder of a dataset holds those that were taken where the camera saw the
-robot, with the columns ``recording, time, x, y, theta, vx, vy, omega`` and one for each sensor:
+During a recording, the robot's sensors may be read continuously (``observations.csv``).
+``readings.csv`` in the folder of a dataset has those during which the camera saw the robot, with
+the columns ``recording, time, x, y, theta, vx, vy, omega`` and one for each sensor:
 
-- ``time``: when the look began, s on the clock of the recording's robot; never decreasing within
+- ``time``: beginning of the scan, s on the clock of the recording's robot; never decreasing within
   a session;
 - ``x, y`` (m), ``theta`` (rad): the robot's pose then, in the board's frame;
-- ``vx, vy`` (m/s), ``omega`` (rad/s): how it moved, in the board's frame. A sensor is read some
-  time after the look began, each at another one; by these the pose follows it.
+- ``vx, vy`` (m/s), ``omega`` (rad/s): its motion, in the board's frame. Each sensor is read at
+another time after the scan began; these give the pose at that time.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from tracking.datasets.recordings import Recording
 PLACE = ("x", "y", "theta", "vx", "vy", "omega")
 COLUMNS = ("recording", "time", *PLACE)
 
-#: A pose between two frames is known where these are not further apart, s; how the robot moved is
-#: taken from the frames so many before and after.
+#: Largest time between two frames for a pose between them, s; number of frames before and after for
+#: the motion.
 GAP, AROUND = 0.1, 2
 
 _DIGITS = 6
 
 
 def sensors_of(readings: pd.DataFrame) -> tuple[str, ...]:
-    """Return the names of the sensors that a table has columns of."""
+    """Return the names of the sensors in a table's columns."""
     return tuple(readings.columns[len(COLUMNS) :])
 
 
@@ -46,7 +46,7 @@ def no_readings() -> pd.DataFrame:
 
 
 def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> pd.DataFrame:
-    """Return the readings of a recording that were taken where the robot was seen.
+    """Return the readings of a recording during which the robot was seen.
 
     Args:
         recording: tracked.
@@ -76,7 +76,7 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
 def _motion_at(
     times: NDArray, poses: NDArray, at: NDArray
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Return whether a track knows where the robot was at instants [N], and pose and motion [N, 6].
+    """Return whether a track has the pose at instants [N], and pose and motion [N, 6].
 
     Args:
         times: [M] of the frames that saw the robot, increasing, s.
@@ -129,7 +129,7 @@ def read(path: Path, expected: Any) -> pd.DataFrame:
 
     Args:
         path: of readings.csv.
-        expected: how many dataset.json says that there are, None where it says nothing.
+        expected: number of readings by dataset.json, None if it has none.
 
     Raises:
         FileError: naming the wrong line and field, or if readings are missing.

@@ -1,14 +1,13 @@
-"""Recordings: what was sent to a robot, the video of what it did, and the poses tracked in it.
+"""Recordings: the commands sent to a robot, its video, and the poses tracked in it.
 
-A recording is a folder. ``recording.json`` says with what it was made; ``commands.csv`` has one
-line for everything that was sent to the robot, written as it was sent; ``frames.csv`` has the
-camera time of every frame of the video parts; ``sightings.csv`` has the pixels of the markers, if
-they were tracked while the recording was made; ``observations.csv`` what a controller saw that
-was asked for the commands; ``poses.csv`` and ``tracking.json`` come with
-tracking. Whatever interrupts a recording, what stands in its files can be read.
+A recording is a folder. ``recording.json`` describes robot, camera and settings; ``commands.csv``
+has one line for each command, written when it is sent; ``frames.csv`` has the camera time of every
+frame of the video parts; ``sightings.csv`` has the pixels of the markers, if they were tracked
+live; ``observations.csv`` has the observations of a closed-loop controller; ``poses.csv`` and
+``tracking.json`` come from tracking. The files can be read after any interruption.
 
 A recording consists of sessions: the first start, and one more for every time it was resumed.
-Each session has a video part of its own and clocks of its own, which begin anywhere.
+Each session has its own video part and its own clocks, with any zero.
 """
 
 from __future__ import annotations
@@ -47,25 +46,25 @@ from neurosim.base.perimeter import Board
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
-#: The kind of source whose commands a person gives: each holds until the next line.
+#: Kind of source for driving by hand, where each command lasts until the next line.
 BY_HAND = "by-hand"
-#: A command lasts no longer, s.
+#: Longest command, s.
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
 TRACKING_FORMAT, TRACKING_VERSION = "neurosim-tracking", 3
 
-#: What a line of commands.csv can be.
+#: Kinds of lines in commands.csv.
 KINDS = (
     "command",  # a numbered command, with its planned duration (none where a person drives)
     "cut",  # the motors stopped early, at a line; carries the number of the command it cut
-    "manoeuvre",  # driving that is no data: getting back inside
+    "manoeuvre",  # driving that is not data: the return inside
     "stop",
     "lamp-on",
     "lamp-off",
     "pause",  # the battery is low
-    "end",  # the session ended as it should
+    "end",  # the session ended normally
 )
-#: The kinds that change what the motors do.
+#: Kinds that change the motors' speeds.
 MOTOR_KINDS = frozenset({"command", "cut", "manoeuvre", "stop"})
 
 _FRAME_COLUMNS = ("session", "frame", "time")
@@ -92,7 +91,7 @@ KHEPERA_MARKERS: dict[str, Any] = {
     "height": 0.020,
     "diameter": 0.012,
 }
-#: A printed tag of 80 mm on the same robot, behind its lamp, and as much smaller on a Khepera.
+#: A printed tag of 80 mm on the same robot, behind its lamp, and a smaller one on a Khepera.
 DEFAULT_TAG: dict[str, Any] = {
     "front": {"x": -0.032, "y": 0.0},
     "rear": {"x": -0.112, "y": 0.0},
@@ -116,8 +115,8 @@ CommandLine = Any
 class Poses:
     """Tracked poses, one row a frame: seconds on the session's robot clock, metres, radians.
 
-    ``pose`` is NaN and ``quality`` 0 where the robot was lost; ``doubtful`` where what was found
-    may not be the robot, by default nowhere.
+    ``pose`` is NaN and ``quality`` 0 if the robot was lost; ``doubtful`` marks a pair that may not
+    be the robot, by default none.
     """
 
     session: NDArray  # [N] int
@@ -137,7 +136,7 @@ class Poses:
         return Poses(*(getattr(self, one.name)[rows] for one in fields(self)))
 
     def certain(self) -> Poses:
-        """Return the same rows, as if the robot had not been found where that is doubtful."""
+        """Return the same rows, with doubtful poses marked as not found."""
         doubtful = self.doubtful
         return replace(
             self,
@@ -154,8 +153,8 @@ class Observations:
 
     Attributes:
         session: [N] int.
-        command: [N] int, the command that followed from it; -1 where none did.
-        time: [N] when the robot was at the pose.
+        command: [N] int, the command that followed; -1 if there was none.
+        time: [N] time of the pose.
         pose: [N, 3], NaN if it was unknown.
         names: of the sensors.
         readings: [N, S] of the sensors, 0..1.
@@ -180,7 +179,7 @@ class Recording:
 
     Attributes:
         path: its folder.
-        meta: what recording.json says.
+        meta: content of recording.json.
     """
 
     def __init__(self, path: str | Path):
@@ -209,11 +208,11 @@ class Recording:
 
         Args:
             path: a folder that does not exist yet, or is empty.
-            meta: what recording.json is to say; ``markers`` and ``board`` have defaults.
+            meta: content for recording.json; ``markers`` and ``board`` have defaults.
             calibration: calibration.json of the camera, which is copied into it.
 
         Raises:
-            UserError: if there is something at ``path``.
+            UserError: if ``path`` exists.
         """
         path, takes = Path(path), Commands.of(meta.get("commands"))
         content = {
@@ -241,7 +240,7 @@ class Recording:
         """The numbers of the robot's command.
 
         Raises:
-            FileError: if recording.json says something else there.
+            FileError: if recording.json has no valid commands.
         """
         try:
             return Commands.of(self.meta.get("commands"))
@@ -252,7 +251,7 @@ class Recording:
 
     @property
     def by_hand(self) -> bool:
-        """Whether a person drove: no command has a duration, each holds until the next line."""
+        """Whether a person drove: commands have no duration, and last until the next line."""
         source = (self.meta.get("settings") or {}).get("source") or {}
         return source.get("kind") == BY_HAND
 
@@ -343,7 +342,7 @@ class Recording:
         return table
 
     def observations(self) -> Observations | None:
-        """Read observations.csv; None where no controller saw anything.
+        """Read observations.csv; None without observations.
 
         Raises:
             FileError: naming the wrong line and field.
@@ -383,10 +382,10 @@ class Recording:
         return None if table.empty else table["time"].to_numpy()
 
     def lost_film(self, session: int) -> float:
-        """Return for how many seconds the last frames of a session are nowhere to be seen.
+        """Return the seconds of a session's last frames that are missing.
 
-        They are in frames.csv and not in the video, which a killed program leaves so; nor were
-        they tracked when they were taken.
+        They are in frames.csv, but not in the video, after a killed program, and were not tracked
+        live.
         """
         path, times = self.video(session), self.frame_times(session)
         if path is None or times is None:
@@ -405,7 +404,7 @@ class Recording:
 
     @property
     def is_tracked(self) -> bool:
-        """Whether poses.csv is there."""
+        """Whether poses.csv exists."""
         return (self.path / "poses.csv").exists()
 
     def tracked_sessions(self) -> list[dict[str, Any]]:
@@ -456,10 +455,10 @@ class Recording:
 
 
 def read_markers(path: str | Path) -> dict[str, Any]:
-    """Read a markers file: what recording.json says under ``markers``, by itself.
+    """Read a markers file: the content of recording.json under ``markers``, alone.
 
     Raises:
-        FileError: if it is missing or not what it should be.
+        FileError: if it is missing or wrong.
     """
     document = read_json(path, MARKERS_FORMAT, VERSION, formats.Markers)
     _check_markers(Path(path), document)

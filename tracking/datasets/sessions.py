@@ -1,9 +1,9 @@
-"""The drives of a log: where it is cut, and which of its poses are left out.
+"""The drives of a log: cuts between drives, and poses that are left out.
 
-A file may hold several drives, one after the other. A new one begins where a column says so, where
-the clock starts again or is silent for long, or where the pose jumps: the robot was carried
-elsewhere. Across a jump of the pose the commands go on. Single poses that jump away and back are
-passed over. So are stretches in which the headings do not fit the way that the robot goes.
+A file may hold several drives, one after the other. A new one begins by a column, when the clock
+starts again or is silent for long, or when the pose jumps because the robot was carried. Commands
+continue across a jump of the pose. Single poses that jump away and back are left out, and so are
+stretches in which the headings do not fit the direction of motion.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from neurosim.base import se2
 from neurosim.base.errors import FileError
 from tracking.datasets.logs import Log, Settings, is_known
 
-#: The clock is silent for so many times the longest gap: another drive.
+#: Silence of the clock, in multiples of the longest gap, that separates drives.
 _SILENCE = 10.0
-#: A step is a jump if it is so many times as fast as all but 1 % of the steps, and so many times as
-#: fast as the three before and after it.
+#: Speed of a jump, in multiples of the speed of all but 1 % of the steps, and of that of the three
+#: steps before and after it.
 _JUMP, _OVER_NEIGHBOURS = 4.0, 8.0
-#: Courses are taken over so long, s; headings are to fit them within so much, rad.
+#: Duration over which courses are computed, s; largest difference of headings from them, rad.
 _COURSE, _FITS = 0.5, 0.6
-#: Half of the courses must fit within this, rad, before others are taken for wrong.
+#: Largest median difference, rad, at which other headings count as wrong.
 _MOST_FIT = 0.15
-#: A stretch that does not fit is at least so long, s, and most of it does not.
+#: Shortest stretch that does not fit, s; most of it must not fit.
 _STRETCH = 1.0
 
 
@@ -48,11 +48,11 @@ def sessions_of(
         time: (N,) of the samples, s.
         commands: (N, C).
         poses: (N, 3) x, y in m, heading in rad, NaN where the robot was not seen.
-        settings: how long samples may be missing, and whether all poses are kept.
-        labels: (N,) of the drives, where a column says which they are.
+        settings: longest gap of samples, and whether all poses are kept.
+        labels: (N,) names of the drives, if there is a column.
 
     Returns:
-        The drives with two samples and a pose or more, and a sentence for whatever was found.
+        The drives with at least two samples and a pose, and a sentence for each finding.
     """
     warnings: list[str] = []
     begins = _begins(time, settings, labels)
@@ -122,7 +122,7 @@ def _usual(steps: NDArray) -> float:
 def _drives(
     name: str, time: NDArray, commands: NDArray, poses: NDArray, settings: Settings
 ) -> Iterator[Log]:
-    """Yield the drives of a part with increasing times: it is cut where the pose jumps."""
+    """Yield the drives of a part with increasing times, cut at jumps of the pose."""
     seen = np.isfinite(poses).all(axis=1)
     seen &= ~_old(time, poses, settings.longest_gap)
     places = np.flatnonzero(seen)
@@ -149,10 +149,9 @@ def _drives(
 
 
 def _old(time: NDArray, poses: NDArray, longest: float) -> NDArray[np.bool_]:
-    """Return which poses (N, 3) are those of the line before, where poses come less often.
+    """Return whether poses (N, 3) repeat the previous line, for poses at a lower rate.
 
-    They do where most lines repeat the one before, but for lines between which the robot stood for
-    longer, s.
+    They do if most lines repeat the previous one, except while the robot stood for longer, s.
     """
     again = np.zeros(len(time), np.bool_)
     again[1:] = (poses[1:] == poses[:-1]).all(axis=1)
@@ -171,7 +170,7 @@ def _jumps(time: NDArray, poses: NDArray, longest: float) -> tuple[NDArray, NDAr
     Args:
         time: (M,) s, increasing.
         poses: (M, 3).
-        longest: poses that are away for longer, s, are not.
+        longest: longest time away, s.
     """
     away = np.zeros(len(time), bool)
     jumps = _fast(time, poses)
@@ -189,7 +188,7 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     if len(time) < 8:
         return np.zeros(0, np.int64)
     steps = np.diff(time)
-    # Of two samples close together, such as one more where a command begins, the noise is no jump.
+    # The noise between two close samples, such as an additional one at a command, is not a jump.
     steps = np.maximum(steps, np.median(steps) / 2)
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
     limit = _JUMP * np.quantile(speed, 0.99)
@@ -202,10 +201,10 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
 
 
 def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:
-    """Return a log without the poses whose headings do not fit the motion, and when that was.
+    """Return a log without the poses whose headings do not fit the motion, and their times.
 
-    A robot that goes where it looks, or backwards, does so most of the time; one that goes any way
-    (omnidirectional) is left as it is.
+    A robot that drives forwards or backwards does so most of the time; the log of an
+    omnidirectional one is not changed.
     """
     time, poses = log.pose_time, log.poses
     grid = np.arange(time[0], time[-1] - _COURSE, _COURSE / 4)
@@ -235,7 +234,7 @@ def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:
 
 
 def check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
-    """Refuse a column that names another drive on nearly every line.
+    """Raise an error for a column with another drive on nearly every line.
 
     Raises:
         FileError: naming it.

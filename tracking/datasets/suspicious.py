@@ -1,8 +1,8 @@
-"""Signs of wrong numbers in imported files: a sentence each, with what mends it.
+"""Signs of wrong numbers in imported files: a sentence for each, with a remedy.
 
-Commands are compared with the motion that they are followed by. Where a command has a unit (v in
-m/s, w in rad/s), it says how fast the robot is to be; otherwise speeds and sizes are held to those
-of robots that there are.
+Commands are compared with the motion that follows them. If a command has a unit (v in m/s, w in
+rad/s), it gives the robot's speed; otherwise speeds and sizes are compared with those of existing
+robots.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from neurosim.base import se2
 from neurosim.base.declared import Checked
 from tracking.datasets.logs import Log, is_known
 
-#: What one of them is in SI.
+#: Units in SI.
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -28,12 +28,12 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Speeds of robots, m/s and rad/s; how far apart two wheels are, m; seconds from one sample of a
 #: log to the next.
 _SPEEDS, _RATES, _TRACKS, _SAMPLES = (0.002, 20.0), (0.02, 50.0), (0.01, 10.0), (2e-4, 3.0)
-#: A robot does what a command asks for, within this factor; if it does not, another unit may.
+#: Largest ratio of the motion to the command, or its inverse; beyond it another unit may fit.
 _OBEYS, _MENDED = 5.0, 2.5
 _RIGHT = "commands, speeds and times do not fit each other: they would with {}"
-#: Motion is measured over so long, s.
+#: Duration over which motion is measured, s.
 _SPAN = 0.1
-#: A command that changes in more lines of a log than this fraction was measured, or is computed.
+#: Fraction of changing lines above which a command counts as measured or computed.
 _ALWAYS = 0.9
 
 
@@ -45,9 +45,8 @@ class Conventions(Checked):
         length: unit of x, y, dx, dy: m, cm or mm.
         angle: unit of headings and dtheta: rad or deg.
         time: unit of times and durations: s, ms, us or ns.
-        y: where y points to, seen along x: left, as in mathematics, with headings
-            counter-clockwise; or right, as in pictures, whose y points down, with headings
-            clockwise.
+        y: direction of y, seen along x: left, as in mathematics, with counter-clockwise headings;
+            or right, as in pictures with y down, with clockwise headings.
         frame: of the dx, dy in a file of rows: body, the robot's at the command's beginning, or
             world, the frame of ``heading0``.
     """
@@ -65,7 +64,7 @@ class Conventions(Checked):
         return numbers * (length, side * length, side * angle)
 
     def besides(self, other: Conventions) -> list[str]:
-        """Return the options that make the other conventions of these."""
+        """Return the options that change these conventions to the others."""
         names = ("length", "angle", "time", "y")
         pairs = [(name, getattr(other, name)) for name in names]
         return [f"--{name} {value}" for name, value in pairs if value != getattr(self, name)]
@@ -73,12 +72,12 @@ class Conventions(Checked):
 
 @dataclass(frozen=True)
 class Moved:
-    """Commands, and how the robot moved under them.
+    """Commands, and the motion that followed them.
 
     Attributes:
         commands: (K, C).
         twist: (K, 3) of the motion, m/s, m/s, rad/s.
-        apart: seconds from one sample to the next; None: of rows, whose lines are commands.
+        apart: seconds from one sample to the next; None for rows, whose lines are commands.
     """
 
     commands: NDArray
@@ -102,7 +101,7 @@ def moved_in(logs: Sequence[Log]) -> Moved:
 
 
 def _twist(displacement: NDArray, duration: NDArray) -> NDArray:
-    """Return mean speeds (K, 3), of the arc where it is not closed."""
+    """Return mean speeds (K, 3), of the arc if it is not closed."""
     half = displacement[:, 2] / 2
     cos, sin = np.cos(half), np.sin(half)
     x, y = displacement[:, 0], displacement[:, 1]
@@ -125,14 +124,14 @@ def suspicions(
     given: Conventions,
     read: Conventions | None = None,
 ) -> list[str]:
-    """Return sentences on what is odd about commands and the motion that followed them.
+    """Return sentences on suspicious findings in commands and the motion that followed them.
 
     Args:
         moved: commands and motion.
         names: of the commands.
         units: of the commands.
         given: the conventions that the user gave.
-        read: what the motion was read by, if not that.
+        read: the conventions used for reading the motion, if others.
     """
     if len(moved.twist) < 8:
         return []
@@ -156,7 +155,7 @@ def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
 
 
 def _gains(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> dict[str, float]:
-    """Return how many times as fast as m/s and rad/s commands ask the robot is, by unit."""
+    """Return the ratios of the robot's speed to commands in m/s and rad/s, by unit."""
     gains = {}
     for unit, output in (("m/s", 0), ("rad/s", 2)):
         columns = [place for place, name in enumerate(names) if units.get(name) == unit]
@@ -170,7 +169,7 @@ def _gains(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> dict
 
 
 def _track(moved: Moved, names: Sequence[str]) -> tuple[float, float] | None:
-    """Return how far apart two wheels are, m, and the turn rate by right minus left; or None."""
+    """Return the distance of two wheels, m, and the turn rate by right minus left; or None."""
     if list(names) != ["left", "right"]:
         return None
     weights = np.linalg.lstsq(moved.commands, moved.twist[:, [0, 2]], rcond=None)[0]
@@ -181,7 +180,7 @@ def _track(moved: Moved, names: Sequence[str]) -> tuple[float, float] | None:
 
 
 def like_degrees(time: NDArray, heading: NDArray) -> bool:
-    """Return whether headings (N,), taken for radians, are degrees.
+    """Return whether headings (N,) in supposed radians are degrees.
 
     Headings in radians are within one turn, or have no large steps.
 
@@ -203,7 +202,7 @@ def _units(
     given: Conventions,
     now: Conventions,
 ) -> list[str]:
-    """Return which other units the numbers would make sense in, where they make none."""
+    """Return other units in which implausible numbers would make sense."""
     gains, track = _gains(moved, names, units), _track(moved, names)
     fast = float(np.quantile(np.hypot(moved.twist[:, 0], moved.twist[:, 1]), 0.95))
     turning = float(np.quantile(np.abs(moved.twist[:, 2]), 0.95))
@@ -218,7 +217,7 @@ def _units(
             held.append(_within(moved.apart * time, _SAMPLES))
         for unit, size in (("m/s", length), ("rad/s", angle)):
             gain = abs(gains.get(unit, 0.0)) * size / time
-            # A robot that hardly moves says nothing of its units.
+            # A robot that hardly moves does not show its units.
             held.append(gain == 0.0 or 1 / factor < gain < factor)
         if track is not None:
             held.append(_within(track[0] * length / angle, _TRACKS))
@@ -272,7 +271,7 @@ def _within(value: float, limits: tuple[float, float]) -> bool:
 def _turns(
     moved: Moved, names: Sequence[str], units: Mapping[str, str], now: Conventions
 ) -> list[str]:
-    """Return which way round turns go, where it is the other one."""
+    """Return a sentence about turns in the opposite direction, if any."""
     other = "left" if now.y == "right" else "right"
     gain, track = _gains(moved, names, units).get("rad/s", 0.0), _track(moved, names)
     if gain < -1 / _OBEYS:
@@ -290,7 +289,7 @@ def _turns(
 
 
 def always_changing(logs: Sequence[Log], names: Sequence[str]) -> list[str]:
-    """Return a sentence where commands change with every sample, as measured ones do."""
+    """Return a sentence if commands change with every sample, like measured ones."""
     changes = np.concatenate([np.diff(log.commands, axis=0) != 0 for log in logs])
     busy = [name for name, each in zip(names, changes.T, strict=True) if each.mean() > _ALWAYS]
     if not busy:
@@ -302,9 +301,9 @@ def always_changing(logs: Sequence[Log], names: Sequence[str]) -> list[str]:
 
 
 def wrapped(moved: Moved, duration: NDArray) -> int:
-    """Return how many rows (N,) turned by more than half a turn, though the turn given is less.
+    """Return the number of rows (N,) that turned by more than half a turn, but have a smaller turn.
 
-    The turn by commands is learned from those that turned little, and held to the others.
+    The turn by commands is learned from rows with small turns, and compared with the others.
     """
     if len(duration) < 8:
         return 0

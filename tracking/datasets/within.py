@@ -1,8 +1,8 @@
 """Poses at instants within commands, next to the displacement at each command's end.
 
-A camera sees the robot in every frame, also while a command is going on: how the robot gets up
-to speed, and which way round it goes. ``within.csv`` in the folder of a dataset holds a few of
-these poses for each command, with the columns ``row, time, dx, dy, dtheta``:
+A camera sees the robot in every frame, also during a command: its acceleration, and the direction
+of its turn. ``within.csv`` in the folder of a dataset has a few of these poses for each command,
+with the columns ``row, time, dx, dy, dtheta``:
 
 - ``row``: the place of the command in dataset.csv, from 0, never decreasing;
 - ``time``: seconds since the command's beginning, above 0, at most the command's duration, and
@@ -27,8 +27,8 @@ from neurosim.base import files, se2
 
 COLUMNS = ("row", "time", "dx", "dy", "dtheta")
 
-#: At most so many instants of a command; half of them are in its first EARLY seconds, in which
-#: the motors get up to speed.
+#: Largest number of instants of a command; half of them are in its first EARLY seconds, in which
+#: the motors accelerate.
 WITHIN, EARLY = 8, 0.5
 
 #: Times and poses are kept to a microsecond, a micrometre and a microradian.
@@ -42,8 +42,8 @@ def choose_instants(times: NDArray, duration: float) -> NDArray:
     over the whole command. Of each, the nearest time at which the robot was seen is taken, once.
 
     Args:
-        times: (N,) increasing, when the robot was seen, s since the command's beginning; those
-            that are not within the command are passed over.
+        times: (N,) increasing, when the robot was seen, s since the command's beginning; those that
+            are not within the command are ignored.
         duration: of the command, s.
 
     Returns:
@@ -105,7 +105,7 @@ def rows_of(within: pd.DataFrame, kept: NDArray[np.bool_]) -> pd.DataFrame:
 
     Args:
         within: the poses of the whole dataset.
-        kept: (N,) which of its rows are.
+        kept: (N,) whether each row is kept.
     """
     place = np.cumsum(kept) - 1
     row = within["row"].to_numpy()
@@ -123,7 +123,7 @@ def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
 
     Args:
         path: of within.csv.
-        expected: how many poses dataset.json says that there are, None where it says nothing.
+        expected: number of poses by dataset.json, None if it has none.
         table: the rows of the dataset.
 
     Raises:
