@@ -1,22 +1,22 @@
-"""How well the trainers predict, beside ordinary regressors and the noise floor.
+"""How well the trainers predict, compared with ordinary regressors and the noise floor.
 
     python benchmarks/accuracy.py DATASET [--floor data/noise_floor.json] [--seeds 5] [--json]
     python benchmarks/accuracy.py DATASET --sizes
     python benchmarks/accuracy.py UTIAS_FOLDER            (Odometry and Groundtruth files)
 
 Mean absolute error on the last rows in time (a fifth; of MRCLAM files a quarter), its ratio to the
-noise floor, and the seconds of one training of all outputs; medians over seeds. One network an
-output, no ensemble. Beside the trainers stand regressors of scikit-learn with its defaults, each
-also on what the ideal unicycle leaves: gradient boosting, a Gaussian process (one length for each
-input, its lengths found on 1,000 rows, at most 2,000 rows used) and a random forest. Where held-out
-rows are of commands that the floor was measured with, the medians of the floor's drives are tried
-on them too: nothing can be expected to do better.
+noise floor, and the seconds of one training of all outputs; medians over seeds. One network for
+each output, no ensemble. They are compared with regressors of scikit-learn with its defaults, each
+also on the residuals of the ideal unicycle: gradient boosting, a Gaussian process (one length scale
+for each input, fitted on 1,000 rows, at most 2,000 rows used) and a random forest. If the floor was
+measured with commands of held-out rows, the medians of the floor's drives are compared with these
+rows too: no predictor can be expected to do better.
 
-``--sizes`` trains on the first 100, 200, 500, 1,000, 2,000 and all rows. ``--quick`` takes one
-seed and a short run of the paper's trainer, whose whole run takes minutes (see ga_training.py).
+``--sizes`` trains on the first 100, 200, 500, 1,000, 2,000 and all rows. ``--quick`` uses one seed
+and a short run of the paper's trainer, whose whole run takes minutes (see ga_training.py).
 ``--trainers combined --no-regressors`` measures the default trainer alone. ``--without NAME ...``
-leaves parts of it out, each in turn: see its settings; ``parts``: it learns from whole commands
-alone.
+leaves out its parts, one at a time (see its settings); without ``parts`` it learns from whole
+commands only.
 Regressors: pip install scikit-learn (extra ``bench``).
 """
 
@@ -49,7 +49,7 @@ OUTPUTS = ("dx", "dy", "dtheta")
 SIZES = (100, 200, 500, 1000, 2000, 5000)
 #: A whole run of the paper's trainer belongs to ga_training.py.
 GA_GENERATIONS = 500
-#: Learns from inputs (N, I) and outputs (N, 3) with a seed; returns what predicts.
+#: Learns from inputs (N, I) and outputs (N, 3) with a seed; returns a predictor.
 Drives = tuple[np.ndarray, np.ndarray]
 Learner = Callable[[Dataset, int], Callable[[np.ndarray], np.ndarray]]
 
@@ -85,7 +85,7 @@ def regressors() -> dict[str, Callable[[int], object]]:
 
 
 class _GaussianProcess:
-    """A Gaussian process on a random part of the rows, its lengths found on a smaller one."""
+    """A Gaussian process on random rows; its length scales are fitted on fewer rows."""
 
     def __init__(self, seed: int):
         self._rng = np.random.default_rng(seed)

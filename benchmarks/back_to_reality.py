@@ -1,17 +1,18 @@
 """How far each method gets with the same number of trials in reality, on walking robots of the lab.
 
 Every method starts from the same gait that was tuned by hand and has the same number of
-evaluations in reality, of three trials each. It is read after 60, 90 and 120 of them: the gait
-that it believes in then is measured in ten trials that it never saw, and the mean of these counts.
+evaluations in reality, of three trials each. After 60, 90 and 120 evaluations, the gait that the
+method holds to be best is measured in ten further trials, of which the mean counts.
 
     python benchmarks/back_to_reality.py --show                   # what there is so far
-    python benchmarks/back_to_reality.py --seeds 10               # go on with it
-    python benchmarks/back_to_reality.py -o table.jsonl           # anew: one seed, three places
-    python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings beside ours
+    python benchmarks/back_to_reality.py --seeds 10               # continue
+    python benchmarks/back_to_reality.py -o table.jsonl           # a new table: one seed, three
+    places
+    python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings next to ours
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
-Each run (a method, a seed, a place) is a line of the file, on the disk as soon as it is over; what
-stands there is not run again. What there is so far is kept in benchmarks/back_to_reality.jsonl. No
+Each run (a method, a seed, a place) is a line of the file, written as soon as the run ends; runs in
+the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
 parameter is tuned on carpet and parquet. ``--paper`` takes the paper's 600 generations, 45 for L3
 and trials of 20 s; without it there are 120, 20 and 5 s.
 """
@@ -47,10 +48,10 @@ AGAIN = 10
 HAND = genes_of(HAND_TUNED)
 #: The paper's 24.7 cm/s over its hand-tuned 10.
 PAPER = 2.47
-#: On whom L3 is judged: those that it saw, the next round's, and the best one's neighbours.
+#: Gaits that L3 is judged on: those of its trials, the next round's, and the best one's neighbours.
 GROUPS = ("compared", "held_out", "neighbours")
 BETTER = "back to reality, better choices"
-#: Methods that are held against all others.
+#: Methods that are compared with all others.
 LEARNERS = (
     BETTER,
     "the same with L3",
@@ -60,9 +61,9 @@ KEPT = Path(__file__).with_suffix(".jsonl")
 
 
 class Remembering(Simulated):
-    """Simulates nothing twice: with one seed many searches begin alike, wherever they walk then.
+    """Simulates no gait twice: with one seed many searches begin with the same gaits.
 
-    ``tried`` counts all that was asked for.
+    ``tried`` counts all requested trials.
     """
 
     _known: ClassVar[dict[bytes, float]] = {}
@@ -154,12 +155,12 @@ def new_cma(start: NDArray[np.float64], spread: float, seed: tuple[int, ...]) ->
 
 
 def once(job: Job, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
-    """Evolve in the simulator, and try what came of it for the whole budget."""
+    """Evolve in the simulator, and try the result for the whole budget."""
     settings = {"adapt": "none", "policy_steps": 0, "candidates": job.budget}
     return paper(job, **{**settings, **changes})
 
 
-#: Of domain randomisation: controllers are evolved over so many simulators, drawn at random.
+#: Number of random simulators that domain randomisation evolves controllers over.
 RANDOM = {"search": "cma", "generations": 40, "sets": 6, "caution": 1.0}
 
 
@@ -186,7 +187,7 @@ def changed(texts: list[str]) -> dict[str, Any]:
     """Return settings that are written as NAME=VALUE.
 
     Raises:
-        UserError: if one is not, or there is none of the name, or a value is wrong.
+        UserError: if the form is another, a name is unknown, or a value is wrong.
     """
     ours, changes = vars(settings_named("better")), {}
     for text in texts:
@@ -202,7 +203,7 @@ def changed(texts: list[str]) -> dict[str, Any]:
 
 
 def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, Any]:
-    """Run a method, and measure what it believed in."""
+    """Run a method, and measure the gaits that it held to be best."""
     with tempfile.TemporaryDirectory() as folder:
         job = Job(place, seed, size, Path(folder))
         order, about = METHODS[method](job)
@@ -230,7 +231,7 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Return the tables: how far each method gets, who wins, and what L3 brings."""
+    """Return the tables: how far each method gets, which one wins, and how much L3 improves."""
     text, counts = "", list(rows[0]["read"]) if rows else []
     for place in PLACES:
         there = [row for row in rows if row["place"] == place]
@@ -293,7 +294,7 @@ def against(
 
 
 def adapted(method: str, own: list[dict[str, Any]]) -> str:
-    """Return lines of what L3 of a method brought in its first cycle, and in all later ones."""
+    """Return lines: how much L3 of a method improved in its first cycle, and in all later ones."""
     text = ""
     for name, part in (("first cycle", slice(0, 1)), ("later cycles", slice(1, None))):
         cycles = [cycle for row in own for cycle in row["cycles"][part]]
@@ -319,7 +320,7 @@ def adapted(method: str, own: list[dict[str, Any]]) -> str:
 
 
 def speed() -> str:
-    """Return what trials of the hand-tuned gait cost, and the paper's 27,000."""
+    """Return the cost of trials of the hand-tuned gait, and of the paper's 27,000."""
     text, gaits = "", np.clip(HAND + np.linspace(-0.02, 0.02, 24)[:, None], 0.0, 1.0)
     simulated = Simulated(LeggedSimulator(), Walking(20.0), Gait())
     walker = VirtualWalker(Gait())

@@ -1,22 +1,22 @@
-"""How well the camera's clock and the robot's are joined, by flashes and by motion alone.
+"""How well the camera's clock and the robot's are matched, by flashes and by motion alone.
 
     python benchmarks/clock_sync.py             about 2 minutes
     python benchmarks/clock_sync.py --quick     half a minute, fewer robots
-    python benchmarks/clock_sync.py --correction    a minute, the last of these alone
+    python benchmarks/clock_sync.py --correction    a minute, the last part only
 
-Everything is held against the lab's clock. The lab's radio carries a telegram for 20 ms on average
+Everything is compared with the lab's clock. The lab's radio carries a telegram for 20 ms on average
 (standard deviation 4 ms), and its lamp follows with a lag of 4 ms.
 
-  - motion: robots of the lab drive 40 commands of Pretorius et al. (2009), section 5.1; their true
-    path is looked at 30 times a second by a camera whose clock drifts, with the tracker's errors
-    and dropped frames. What is given: the motors' delay, found on the true clock, less the radio's
-    20 ms, and over its stated standard deviation; the clock that the motion alone gives (``--sync
-    motion``), less the same 20 ms, where it is furthest off between the first frame and the last.
+  - motion: robots of the lab drive 40 commands of Pretorius et al. (2009), section 5.1; a camera
+  whose clock drifts sees their true path 30 times a second, with the tracker's errors and dropped
+  frames. Printed are: the motors' delay, estimated on the true clock, less the radio's 20 ms, and
+  this error over its stated standard deviation; and the largest error, between the first frame and
+  the last, of the clock from the motion alone (``--sync motion``), less the same 20 ms.
   - rendered: recordings of 15 commands in the lab, filmed, tracked as ``neurosim track`` does. The
     time of each flash less when its light changed in the lab (the mean over its edges), and the
     clock by motion less the radio's 20 ms.
   - correction: 500 commands, whose track is on the clock that the flashes give, or 50 ms late on
-    it, as with a radio that carries the lamp's telegrams so much sooner than the motors'. A dataset
+  it, as if the radio carried the lamp's telegrams 50 ms sooner than the motors'. A dataset
     with the delay corrected and one as sent; the mean absolute errors, on the held-out fifth of the
     rows, of a network that is trained on each.
 """
@@ -47,7 +47,7 @@ from tracking.datasets.recordings import Poses, Recording
 from tracking.track import track
 
 FPS, RADIO, LAMP = 30.0, 0.020, 0.004
-#: What the tracker errs by in the lab: standard deviations, m, m, rad.
+#: The tracker's errors in the lab: standard deviations, m, m, rad.
 NOISE = (0.0005, 0.0005, 0.003)
 #: Name: fraction of frames that is dropped, and how much the clocks drift.
 CASES = {
@@ -175,7 +175,7 @@ def seen(recording: Recording, dropped: float, rng: np.random.Generator) -> tupl
 
 
 class Heard:
-    """The lab's brick, and when, on the lab's clock, it heard of the lamp's motor port."""
+    """The lab's brick, and the times on the lab's clock of telegrams to the lamp's motor port."""
 
     def __init__(self, rig: VirtualRig):
         self.rig, self.lamp = rig, []
@@ -211,7 +211,7 @@ def film(folder: Path, seed: int) -> dict[str, Any]:
     sent = np.array(
         [line.time for line in recording.commands().itertuples() if line.kind.startswith("lamp")]
     )
-    # Each edge comes when its telegram was heard, and the filament has followed.
+    # Each edge comes once its telegram has arrived and the filament has followed.
     lit = np.array(heard.lamp[: len(sent)]) + LAMP
     at, flash_sd = robot_clock("flash", camera_clock(lit))
     flashes = np.split(at - sent, 1 + np.flatnonzero(np.diff(sent) > GROUP_GAP))

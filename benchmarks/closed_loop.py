@@ -1,14 +1,14 @@
-"""How fast networks are driven in closed loop, compiled, beside the same steps in PyTorch.
+"""How fast networks are driven in closed loop, compiled, compared with the same steps in PyTorch.
 
-Robot steps a second of a population of networks, each through the same random samples, of
+Robot steps per second of a population of networks, each through the same random samples, with
 
   - ours: the simulator's compiled rollouts, on all cores;
   - PyTorch: the controllers' own act() and the simulator's own step(), for the whole batch at once.
 
 In a motion network of the size that the default trainer yields (eight members and a mean network,
-beside a drive model, with kernel units and noise) networks see their heading and the next goal; in
+with a drive model, kernel units and noise) networks see their heading and the next goal; in
 tables (4 walls, 3 obstacles, uniform noise) they see eight sensors. The weights of the motion
-network are random: what they are makes no difference to the time.
+network are random: their values make no difference to the time.
 
     python benchmarks/closed_loop.py                  about two minutes, when compiled before
     python benchmarks/closed_loop.py --quick
@@ -42,7 +42,7 @@ from neurosim.simulators.tables.sensor_table import SensorTable
 STEPS, SAMPLES, HIDDEN = 200, 10, 5
 #: Kernel units, as many as the default trainer keeps at most.
 UNITS = 150
-#: PyTorch drives fewer steps: its time for each hardly depends on how many there are.
+#: PyTorch drives fewer steps: its time for each step hardly depends on their number.
 PEER_STEPS, PEER_REPEATS = 10, 3
 INPUTS = ("cos_heading", "sin_heading", "goal_x", "goal_y", "goal_cos", "goal_sin")
 GOALS = np.array([[0.5, 0.2, 0.0], [1.0, -0.2, 1.0], [0.3, 0.6, 3.0]])

@@ -2,9 +2,9 @@
 
 A simulator is learned from whole commands of 0.5 to 3 s, or with the poses within them. Then
 robot and simulator are given the same commands, new ones every 0.05, 0.1 and 0.25 s: as a person
-or a controller drives (each actuator drifts about, first-order), and held but for one percent that
-comes and goes. The error is how far apart they are at the end, over the distance driven: the median
-of several drives.
+or a controller drives (each actuator drifts about, first-order), and constant except for one
+percent that comes and goes. The error is their distance from each other at the end, over the
+distance driven: the median of several drives.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def learned(robot: Robot, count: int, within: bool) -> MotionNetwork:
 
 
 def error(robot: Robot, simulator: MotionNetwork, period: float, kind: str, seed: int) -> float:
-    """Return how far apart robot and simulator are in the end, over the distance driven."""
+    """Return the distance between robot and simulator at the end, over the distance driven."""
     commands = random_commands(robot, period, kind, np.random.default_rng([seed, 7]))
     times = commands[:, -1:] * np.linspace(1 / LOOKS, 1.0, LOOKS)
     moved = robot.drive(commands, seed, noisy=False, times=times).y

@@ -1,8 +1,8 @@
 """How long compiling takes, function by function, with nothing compiled before.
 
-Seconds of processor time of the trial loop of the motion network and of tables, each with all that
-it calls, and of drawing the numbers of noise. The time of a function is without that of the
-functions that it calls where these are compiled by themselves.
+Seconds of processor time of the trial loop of the motion network and of tables, each with all
+functions that it calls, and of the random numbers of noise. The time of a function excludes the
+functions that it calls and that are compiled by themselves.
 
     python benchmarks/compile_time.py
     python benchmarks/compile_time.py --all           all functions, not the ten slowest

@@ -1,32 +1,33 @@
-"""Blind plans, networks that see where they are, and plans that are planned again, on the course.
+"""Open-loop plans, networks that see their pose, and replanning, on the course.
 
-The outlook of Pretorius et al. (2009) made true. Some robots of the virtual lab each drive
-400 random commands, as tracked; of these a simulator of each is learned, and in it are evolved
-a plan around the nine rectangles (robustly, ``neurosim evolve --robust``) and a network that sees
-how far the next rectangle's middle is and in which direction. They are then driven, each time from
-where a person puts the robot down, with the lab's own slip and caster:
+This is the outlook of Pretorius et al. (2009). Several robots of the virtual lab each drive 400
+random commands, as tracked, and a simulator is learned from these. In it are evolved a plan around
+the nine rectangles (robustly, ``neurosim evolve --robust``) and a network that sees the distance
+and direction of the next rectangle's middle. They are then driven, each time from a start with the
+placing error of a person, with the lab's own slip and caster:
 
   - open_loop: the plan, without feedback;
-  - replanned: the plan, planned again after every command (``neurosim run --replan``);
+  - replanned: the plan, replanned after every command (``neurosim run --replan``);
   - network: asked five times a second.
 
 Every course is driven twice, the second time with a push of 10 cm aside (0.3 s, wheels skidding)
 halfway, in a direction that does not by itself push the robot out of the rectangle where it is
-expected to be. Told are: how many courses were completed, by the true path; and how near the robot
-came to where it was predicted to pass from one rectangle into the next: by the whole predicted
-path of plan and network, by what was predicted as each command was given of a plan that is planned
-again. (A robot that was pushed passes elsewhere, at first.)
+expected to be. Printed are: how many courses were completed, by the true path; and how near the
+robot came to the predicted points where it passes from one rectangle into the next. The prediction
+is the whole path for plan and network; for a replanned plan it is made at each command. (A pushed
+robot passes elsewhere, at first.)
 
-Go to: from a pose anywhere on the board to another, within 2 cm and 3 degrees, by a plan that is
-planned again, begun with none; in the simulator, with noise drawn, and in the lab.
+Go to: from a pose anywhere on the board to another, within 2 cm and 3 degrees, by replanning,
+without a first plan; in the simulator, with sampled noise, and in the lab.
 
-Most drives are of the lab's physics without brick and camera: whoever sees is told the true pose
-with noise of 1 mm and 0.2 degrees, and thinks in no time. With --camera some of them are made
-again the long way, through driver, radio, brick, camera and tracker, where thinking takes 0.3 s:
-those that see, and every second one of them with a push.
+Most drives are of the lab's physics without brick and camera: controllers that see get the true
+pose with noise of 1 mm and 0.2 degrees, and compute in no time. With --camera some drives of
+controllers that see are repeated through driver, radio, brick, camera and tracker, where computing
+takes 0.3 s: every second one of them with a push.
 
     python benchmarks/courses.py                     3 robots, 10 courses each, 60 poses
-    python benchmarks/courses.py --camera 1          one course of each robot also the long way
+    python benchmarks/courses.py --camera 1          one course of each robot also through the
+    camera
     python benchmarks/courses.py --quick
 """
 
@@ -74,7 +75,7 @@ COMMANDS = 400
 PUSH = 0.1
 #: Of a pose that is tracked live: standard deviations, m, m and rad.
 TRACKED = np.array([0.001, 0.001, math.radians(0.2)])
-#: Predicted paths are told this often, s.
+#: Time between the poses of predicted paths, s.
 DENSE = 0.05
 NEAR = 0.03
 #: Starts and goals are in the middle of the board, where a robot does not touch the line.
@@ -169,7 +170,7 @@ class Physics:
 
 
 class Prepared:
-    """A robot, the simulator that is learned of it, and what is evolved there."""
+    """A robot, its learned simulator, and the controllers that are evolved there."""
 
     family = Plan()
     network = Network(("goal_distance", "goal_bearing"), scale=45.0)
@@ -202,7 +203,7 @@ class Prepared:
 
     @cached_property
     def expected(self) -> dict[str, np.ndarray]:
-        """Where each is expected to drive, paths [N, 3]."""
+        """The expected path of each controller, [N, 3]."""
         evaluator = Evaluator(self.simulator, TASK, self.network)
         poses = evaluator.run(self.genes[None], evaluator.expectation()).poses
         assert poses is not None
@@ -210,7 +211,7 @@ class Prepared:
         return {"network": poses[0, 0], "open_loop": open_loop, "replanned": open_loop}
 
     def push(self, kind: str, number: int) -> Push:
-        """Return a push halfway along what is expected, within the rectangle there."""
+        """Return a push halfway along the expected path, within the rectangle there."""
         path = self.expected[kind]
         step = TASK.step if kind == "network" else DENSE
         if kind == "network":  # it stays where it has arrived
@@ -278,7 +279,7 @@ class Prepared:
         return self.expected["network"]
 
     def filmed(self, number: int, folder: Path, calibration: Path | None) -> list[dict]:
-        """Drive a course in the ways that see through driver, brick, camera and tracker."""
+        """Drive a course by the controllers that see, through driver, brick, camera and tracker."""
         pushed = (self.robot + number) % 2 == 1
         return [
             self._filmed(kind, pushed, 1000 * self.robot + number, folder, calibration)
@@ -320,7 +321,7 @@ class Prepared:
         return self._row(kind, pushed, True, completed, before, path, **more)
 
     def go(self, number: int, virtual: bool) -> dict:
-        """Go from anywhere to anywhere; return where the robot stopped."""
+        """Go from a random pose to another; return the pose where the robot stopped."""
         noise = 1000 * self.robot + number
         rng = np.random.default_rng([noise, 0x60])
         start, goal = anywhere(AREA, 2, rng)
@@ -409,7 +410,7 @@ def predicted(
 
 
 def passes(before: np.ndarray, path: np.ndarray) -> list[float]:
-    """Return how near (m) a path came to where it was predicted to pass between rectangles.
+    """Return the distances (m) of a path from the predicted passages between rectangles.
 
     Args:
         before: [N, 3] the predicted path.

@@ -1,4 +1,4 @@
-"""How fast environments are stepped, beside the bare kernels, Kheperax and MuJoCo.
+"""How fast environments are stepped, compared with the bare kernels, Kheperax and MuJoCo.
 
 Robot steps (0.1 s each) per second, of 1 to 10,000 robots at once, in two simulators:
 
@@ -9,11 +9,10 @@ For each, three ways in:
 
   - kernel: the compiled rollouts of networks, trajectories alone;
   - ns.evaluate: genes to fitness;
-  - environment: steps of the vector environment with actions that are given, rewards, autoresets.
+  - environment: steps of the vector environment with given actions, rewards and autoresets.
 
-Beside them Kheperax (its robot, networks and maze in JAX, whole episodes in one call) and a robot
-of
-two wheels and a caster in MuJoCo, 20 steps of 5 ms to a step, behind Gymnasium's AsyncVectorEnv.
+The peers are Kheperax (its robot, networks and maze in JAX, whole episodes in one call) and a robot
+of two wheels and a caster in MuJoCo, 20 steps of 5 ms to a step, behind Gymnasium's AsyncVectorEnv.
 
     python benchmarks/envs.py                  a few minutes
     python benchmarks/envs.py --quick --json
@@ -99,7 +98,7 @@ def systems(folder: Path | None, quick: bool) -> list[tuple[str, ns.Simulator, n
 
 
 def ours(simulator: ns.Simulator, task: ns.Task, count: int, repeats: int) -> dict[str, float]:
-    """Return robot steps per second of each way in, for so many robots at once."""
+    """Return robot steps per second of each interface, for this many robots at once."""
     family = ns.make_controller("network", simulator, task)
     genes = np.random.default_rng(0).normal(0, 0.5, (count, family.genes))
     fitness = ns.evaluate(simulator, task, family, samples=1)

@@ -1,6 +1,6 @@
-"""Whether plans of few commands do what is said of them: random commands against chosen ones.
+"""Whether predictions of plans hold after few commands: random commands against chosen ones.
 
-For each seed another robot of the virtual lab is driven by as many random commands, and by as many
+For each seed another robot of the virtual lab is driven by random commands, and by the same number
 that ``neurosim record --guided`` would choose (both as benchmarks/guided_recording.py does it). A
 simulator with its ensemble is learned from each, robust plans are evolved in it, and driven many
 times in the lab's physics (as benchmarks/robust_plans.py does it).
@@ -72,7 +72,7 @@ def main() -> None:
 def one_plan(
     simulator: MotionNetwork, robot: int, number: int, options: argparse.Namespace
 ) -> dict:
-    """Evolve a robust plan and drive it; return its chance as said, and as found."""
+    """Evolve a robust plan and drive it; return its predicted and its measured probability."""
     settings = EvolveSettings(runs=options.runs, robust=RobustSettings())
     family, seed = Plan(slots=options.length), 77 + number
     plan = evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)[0]
@@ -82,7 +82,7 @@ def one_plan(
 
 
 def words(result: list[dict]) -> str:
-    """Return the table for a person: means, by how many points what is said is off, all plans."""
+    """Return the table for a person: means, errors in percentage points, and all plans."""
     lines = [
         "virtual lab          said   completed   off by   at most   said and completed, by robot"
     ]

@@ -1,13 +1,13 @@
-"""Damaged files through every command that reads them: what is not one sentence is a fault.
+"""Reads damaged files by every command: an answer other than success or one sentence is a fault.
 
 Small artefacts of every kind are made. In each case one file of them is damaged
 (:mod:`mutations`), a command reads it in the process of a worker, and the case is a fault where
 
-  - anything but an exit with one sentence or a success comes out (a traceback, a crash);
-  - it takes longer than 10 s, or more than 1 GB of memory beyond what the worker had;
-  - an output stands there although the command failed, or something next to it was changed.
+  - the result is neither a success nor an exit with one sentence (a traceback, a crash);
+  - it takes longer than 10 s, or more than 1 GB of memory beyond the worker's before;
+  - there is an output although the command failed, or something next to it was changed.
 
-The cases are drawn from the seed: ``--only 17`` repeats case 17 alone and shows what happens.
+The seed determines the cases: ``--only 17`` repeats case 17 alone and shows what happens.
 
     python benchmarks/fuzz.py                      20,000 cases, about an hour on one core
     python benchmarks/fuzz.py --cases 500 --seed 1
@@ -37,9 +37,9 @@ from typing import Any
 
 from mutations import damage
 
-#: A case may take so long, s, and so much more memory than there was before it, bytes.
+#: Longest time of a case, s, and largest growth of memory in it, bytes.
 LONGEST, LARGEST = 10.0, 2**30
-#: What a command may write into, though it fails: what it drove is kept.
+#: Outputs that a command may write although it fails: its drives are kept.
 KEEPS = ("record", "sample", "run", "track")
 
 
@@ -52,7 +52,7 @@ class Target:
         reads: files and folders that are damaged, one in a case.
         needs: other files that it needs.
         lab: whether making these takes the virtual lab, which takes a minute.
-        weight: how often it is drawn, against the others.
+        weight: how often it is chosen, relative to the others.
     """
 
     line: str
@@ -171,12 +171,12 @@ def run(made: Path, options: argparse.Namespace) -> None:
 def case(
     made: Path, scratch: Path, targets: Sequence[Target], seed: int, number: int, show: bool = False
 ) -> dict[str, Any]:
-    """Damage one file, let a command read it; return what came of it.
+    """Damage one file, let a command read it; return the result.
 
     Args:
         made: folder of whole artefacts.
         scratch: an empty folder to work in; it is emptied again.
-        targets: that are drawn from.
+        targets: that are chosen from.
         seed: of all cases.
         number: of this one.
         show: whether what the command prints and its traceback are shown.
@@ -217,7 +217,7 @@ def call(words: Sequence[str], folder: Path, show: bool = False) -> tuple[int, s
     """Run a command line in this process, in a folder.
 
     Returns:
-        Its exit code, what it said on stderr, and a fault: an exception that is nobody's sentence.
+        Its exit code, its text on stderr, and a fault: an exception other than a UserError.
     """
     from neurosim.cli.main import main as neurosim
 

@@ -1,4 +1,4 @@
-"""How long one generation of the paper's training takes, ours and others'.
+"""How long one generation of the paper's training takes, in neurosim and in other libraries.
 
     python benchmarks/ga_training.py [DATASET] [--repeats 15] [--json] [--whole]
 
@@ -6,9 +6,9 @@ One whole generation (tournament selection, crossover, mutation, fitness of ever
 output's network at the setting of Pretorius et al. 2009, Table 1: 250 chromosomes, 10 product and
 10 summation units over 5 inputs, 5,000 rows. All work on the same rows and compute the same mean
 squared error, which is checked first. Ours evolves three outputs at once, as training does; its
-time is divided by three. Measured in turn, one generation of each after the other, medians told.
+time is divided by three. Generations of each are measured in turn, and medians printed.
 
-The floor is what cannot be avoided: 250 x 10 x 5,000 exponentials and the small matrix products
+The floor is the unavoidable part: 250 x 10 x 5,000 exponentials and the small matrix products
 that feed and follow them, in cache-sized blocks, in single precision; the faster of PyTorch and
 a compiled loop with the exponential of our own kernel, which is vector instructions.
 
@@ -80,7 +80,7 @@ def ours(x: torch.Tensor, targets: torch.Tensor, device: str = "cpu") -> Generat
 
 
 def straightforward(genes: torch.Tensor, x: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the mean squared error [P] of networks, as anyone would write it in PyTorch."""
+    """Return the mean squared error [P] of networks, as it is usually written in PyTorch."""
     return (NETWORK.forward(genes, x) - target).square().mean(-1)
 
 
@@ -117,7 +117,7 @@ def evotorch(x: torch.Tensor, targets: torch.Tensor) -> Generation:
 
 
 class NumpyNetwork:
-    """The mean squared error of one chromosome, as anyone would write it in NumPy."""
+    """The mean squared error of one chromosome, as it is usually written in NumPy."""
 
     def __init__(self, x: np.ndarray, target: np.ndarray):
         self.x, self.target = x, target
@@ -246,7 +246,7 @@ def floor_numba(x: torch.Tensor) -> Generation:
 
 
 def check(x: torch.Tensor, targets: torch.Tensor) -> None:
-    """See to it that all compute the same."""
+    """Check that all compute the same."""
     genes = torch.rand(OUTPUTS, 4, NETWORK.genes, dtype=torch.float64) - 0.5
     fast = PopulationError(NETWORK, x, targets)(genes)[0]
     plain = straightforward(genes[0], x, targets[0])

@@ -1,12 +1,11 @@
 """Do networks that were evolved to avoid obstacles avoid them in arenas that they have not met?
 
-Networks are evolved in tables in the paper's way (one arena, contacts are free) and in many arenas
-where a contact ends what counts, several runs of each, of which the evolution keeps the best.
-They are then driven for 60 s from random starts in ten arenas that none was evolved in, beside a
-hand-written Braitenberg vehicle: the fraction of drives that touch something, and the fitness. With
---lab-drives so many in each arena are driven by a robot of the virtual lab, too. Up to --inner
-boards stand inside each arena, whose ends and corners are seen less well than a wall; 0 leaves
-them out.
+Networks are evolved in tables as in the paper (one arena, contacts are free) and in many arenas
+where a contact ends the fitness; the best of several runs is kept. They then drive for 60 s from
+random starts in ten new arenas, and so does a hand-written Braitenberg vehicle. Printed are the
+fraction of drives that touch something, and the fitness. With --lab-drives N, a robot of the
+virtual lab also drives N times in each arena. Up to --inner boards stand inside each arena; their
+ends and corners are seen less well than a wall. 0 leaves them out.
 
     neurosim sample samples --grid 5 --repeats 2
     neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables
@@ -91,7 +90,7 @@ def main() -> None:
 def in_tables(
     tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return of drives in each arena whether they touch something, and fitness, [A, D] each."""
+    """Return whether the drives in each arena touch something, and their fitness, [A, D] each."""
     rng, episode = np.random.default_rng(seed), Episode(0.1, round(10 * SECONDS), readings=True)
     touched, fitness = [], []
     for arena in arenas:
@@ -115,7 +114,7 @@ def in_the_lab(
     drives: int,
     seed: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same of a robot of the virtual lab."""
+    """Return the same arrays of drives of a robot of the virtual lab."""
     rng = np.random.default_rng(seed)
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):

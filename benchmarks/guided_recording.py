@@ -2,9 +2,9 @@
 
 For each seed another robot of the lab is driven twice: with the random commands of Pretorius et al.
 (2009), section 5.1, and with commands that ``neurosim record --guided`` would choose, in the same
-rounds. From the first rows of each the default trainer learns (all of them: nothing is held out),
-and what it predicts is compared with outcomes of fresh random commands, each driven several times
-from other places with another charge:
+rounds. The default trainer learns from the first rows of each (all of them: nothing is held out).
+Its predictions are compared with outcomes of fresh random commands, each driven several times from
+other places with another charge:
 
 - error: mean absolute error of the outcomes, as benchmarks/accuracy.py has it;
 - floor: mean absolute deviation of the outcomes from each command's median;
@@ -12,10 +12,10 @@ from other places with another charge:
 
 ``mean of N`` averages the predictions of N trainings, as an ensemble does.
 
-To be quick it leaves out driver, camera and tracker: the physics are driven as they are, and the
-poses before and after a command get the noise of tracking (0.4 mm, 0.05 degrees). At the
-perimeter line a command is cut, the robot is put down near the middle, and the command is sent
-again after its predecessor's speeds, up to four times, as the recorder does.
+To be quick it leaves out driver, camera and tracker: the commands go to the physics directly, and
+the poses before and after a command get the noise of tracking (0.4 mm, 0.05 degrees). At the
+perimeter line a command is cut, the robot is placed near the middle, and the command is sent again
+after its predecessor's speeds, up to four times, as the recorder does.
 
     python benchmarks/guided_recording.py            5 seeds, about a quarter of an hour on one core
     python benchmarks/guided_recording.py --quick    one seed, fewer commands
@@ -103,7 +103,7 @@ class Robot:
         return self._state[S.X : S.X + 3].copy()
 
     def put(self, near: float = 1.0) -> None:
-        """Put it down within a fraction of the board, with some charge, and let it stand."""
+        """Place it within a fraction of the board, with some charge, and let it stand."""
         self._state[S.X : S.X + 2] = self.rng.uniform(-near * LINE, near * LINE)
         self._state[S.THETA] = self.rng.uniform(-np.pi, np.pi)
         self._state[S.BATTERY] = self.rng.uniform(*BATTERY)
@@ -199,8 +199,8 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
             robot.drive(one.row)
             start = robot.pose
             robot.drive(two.row)
-            # A long drive that leaves the board is taken as it is, once in fifty times, so that
-            # no command waits for ever; the ground is another there.
+            # One in fifty drives that leave the board is kept, so that no long command is tried for
+            # ever; the ground is another there.
             ends = np.abs([start[:2], robot.pose[:2]]) < LINE
             if ends.all() or robot.rng.random() < 0.02:
                 runs.append(robot.measured(start))
@@ -209,7 +209,7 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
 
 
 def learned(data: TrainingData, seed: int) -> Callable[[NDArray], NDArray]:
-    """Return what the default trainer predicts from these rows."""
+    """Return the simulator that the default trainer learns from these rows."""
     simulator = learn(data, seed, members=1, noise=False)
     return lambda inputs: simulator.displacement(torch.tensor(inputs)).numpy()
 

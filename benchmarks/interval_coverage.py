@@ -2,22 +2,21 @@
 
 Commands are those of Pretorius et al. (2009), section 5.1, fresh ones, driven by the robot that the
 reference dataset was recorded with: through driver, radio link and brick, but without a camera. So
-what is held against the intervals is the truth, while the simulator has learned from tracked
-displacements. The robot is put down at random places, with a battery as full as at some time of a
-recording.
-Two things are measured:
+the intervals are compared with the truth, while the simulator has learned from tracked
+displacements. The robot starts at random places, with a battery as full as at some time of a
+recording. Two things are measured:
 
 - single commands, driven one after another until the robot comes to the edge: the fraction of each
-  output within the simulator's central 50, 80 and 95 % intervals, of all and of those that tell
-  the robot to move, of these again of those straight ahead or back, and of those from rest. One
-  is left out where its predicted mean ends beyond the board's edge, on a floor that the simulator
-  has learned nothing of (a recorder cuts it short at the line);
+  output within the simulator's central 50, 80 and 95 % intervals, of all commands, of those that
+  move the robot, of those straight ahead or back, and of those from rest. A command is left out if
+  its predicted mean ends beyond the board's edge, on a floor that the simulator has learned nothing
+  of (a recorder cuts it short at the line);
 - sequences of ten commands from rest: the fraction of final positions within the 50, 80 and 95 %
   regions (ellipses about the mean of the simulated positions, in the shape of their covariance),
   and of final headings within the central intervals.
-  A sequence is left out where its predicted mean path comes close to the board's edge.
+  A sequence is left out if its predicted mean path comes close to the board's edge.
 
-What happens to a command or sequence that is left out is not looked at.
+Results of left-out commands and sequences do not count.
 
     python benchmarks/interval_coverage.py                    train on the reference data, measure
     python benchmarks/interval_coverage.py --simulator FOLDER measure a simulator that is there
@@ -57,7 +56,7 @@ TAKEN = 0.024
 
 
 class Drives:
-    """The lab's robot, put down anywhere with any charge."""
+    """The lab's robot, placed at random with a random charge."""
 
     def __init__(self, rig: VirtualRig, seed: int):
         self.rng = np.random.default_rng(seed)
@@ -77,7 +76,7 @@ class Drives:
         return np.append(self.rng.uniform(-half, half), self.rng.uniform(-np.pi, np.pi))
 
     def put(self, pose: NDArray) -> None:
-        """Stop the robot and put it down at a pose, with some charge."""
+        """Stop the robot and place it at a pose, with some charge."""
         lab, clock = self._rig.lab, self._rig.robot.clock
         self._rig.robot.stop()
         clock.sleep_until(clock.now() + 0.7)

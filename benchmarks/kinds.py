@@ -1,10 +1,11 @@
 """Whether phototaxis and discrimination, evolved in tables, succeed in the virtual lab.
 
-For each robot that sampled itself, light and a small cylinder too: a network is evolved in its
-tables for each task, and drives the robot of the lab in closed loop through its serial line, from
-drawn starts, as ``neurosim run`` does. The lab's truth judges these drives. Beside them stand the
-same starts in the tables. For discrimination other drives have the cylinder elsewhere, as the
-environment ErDiscrim of evorobotpy2 draws it: nothing was evolved there.
+The robots have sampled light and a small cylinder too. For each robot and task, a network is
+evolved in the robot's tables. It drives the robot of the lab in closed loop through its serial
+line, from random starts, as ``neurosim run`` does. The lab's truth judges these drives, which are
+compared with drives in the tables from the same starts. For discrimination, other drives have the
+cylinder at random places, as in the environment ErDiscrim of evorobotpy2; nothing was evolved
+there.
 
     neurosim sample S3 --light --cylinders 27.5,12.5 --grid 5 --baud 38400 --lab-seed 3
     python benchmarks/kinds.py S3                        two minutes a robot, without the sampling
@@ -37,7 +38,7 @@ from neurosim.tasks.stay_near import StayNear
 from neurosim.trials.driver import Driver
 
 TASKS = ("phototaxis", "discrimination")
-#: Drives in the tables for each in the lab.
+#: Number of drives in the tables for each drive in the lab.
 EACH = 20
 
 

@@ -1,9 +1,8 @@
-"""A population of a million plans: plans a second, and how much memory they take.
+"""How many plans of a population of a million are judged per second, and their memory.
 
 The plans come in chunks, as from an optimiser that does not hold them all, and only their fitness
-is kept; with --evolve a whole generation of the genetic algorithm is made of them instead, which
-holds genes of the population and of the next. Peak memory is that of this process, libraries
-included.
+is kept; with --evolve, the genetic algorithm makes a whole generation instead, which holds the
+genes of the population and of the next. Peak memory is that of this process, libraries included.
 
     python benchmarks/large_population.py                       a million plans
     python benchmarks/large_population.py --evolve              two generations of a million

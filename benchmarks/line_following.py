@@ -1,12 +1,12 @@
 """How well networks that follow a line by light sensors transfer from the learned simulator.
 
-For each robot of the lab, none of which anything was chosen on: random commands are recorded
-on a board with a closed line while its light sensors are read; a simulator with these sensors is
-learned; a network from the two sensors to the two motors is evolved in it for the task follow-line;
-and it drives robot and line of the lab in closed loop, through the robot's own driver, put down
-somewhere on the line, in both directions in turn. The lab's truth judges the drives: laps until the
-line was lost or the time was up, and whether 10 laps were made without losing it. Beside that
-stands what the simulator says of the same starts.
+No setting was chosen on these robots of the lab. For each, random commands are recorded on a board
+with a closed line while its light sensors are read, and a simulator with these sensors is learned.
+In it, a network from the two sensors to the two motors is evolved for the task follow-line. The
+network drives the lab's robot in closed loop, through the robot's own driver, from random places on
+the line, in both directions in turn. The lab's truth judges the drives: laps until the line was
+lost or the time was up, and whether 10 laps were made without losing it. They are compared with the
+simulator's prediction from the same starts.
 
     python benchmarks/line_following.py                    five to ten minutes a robot
     python benchmarks/line_following.py --robots 21 --drives 2
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) -> dict[str, Any]:
-    """Return what came of a robot."""
+    """Return the results of a robot."""
     with VirtualRig(seed, noise_seed=seed, camera_size=SIZE, around=task.place) as rig:
         optics = rig.camera.optics
         model = CameraModel(
@@ -123,7 +123,7 @@ def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) 
 def drive(
     seed: int, number: int, best: SavedController, start: Any, folder: Path, task: FollowLine
 ) -> Any:
-    """Drive once, and return the judgement of what truly happened."""
+    """Drive once, and return the judgement of the true path."""
     source = Driver(best, task.episode, {})
     how = RecordSettings(source.steps, Guard("ignore"))
     at = tuple(map(float, start))

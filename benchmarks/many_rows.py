@@ -4,10 +4,10 @@
     python benchmarks/many_rows.py --rows 1000,3000 --windows   rows that follow one another
     python benchmarks/many_rows.py --robots car,late,omni --cores 2 --json
 
-Datasets are of robots of :mod:`zoo_robots`, drawn in pieces of 10,000 rows. Training is the command
-with its defaults, ensemble and noise model included, in a process of its own on so many cores.
-Seconds are the wall's; memory is the largest of that process, libraries included. Errors are mean
-absolute ones of single commands, against what the robot would do without noise (cm, cm, deg).
+Datasets are of robots of :mod:`zoo_robots`, made in pieces of 10,000 rows. Training is the command
+with its defaults, ensemble and noise model included, in a process of its own on a given number of
+cores. Seconds are of wall-clock time; memory is the largest of that process, libraries included.
+Errors are mean absolute errors of single commands, from the motion without noise (cm, cm, deg).
 ``--windows``: commands last 0.1 to 0.3 s, and the dataset says that its rows follow one another.
 """
 
@@ -32,7 +32,7 @@ from tracking.datasets.dataset import make
 
 #: Rows of a piece: a recording of its own; rows that a simulator is judged by.
 PIECE, JUDGED = 10_000, 2000
-#: What the learner is to keep to: seconds on two cores by rows, and GB.
+#: Limits for the learner: seconds on two cores by rows, and GB.
 WANTED, MEMORY = {10_000: 60.0, 100_000: 600.0}, 4.0
 
 
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def measured(robot: Robot, count: int, options: argparse.Namespace) -> dict[str, object]:
-    """Return seconds, memory and errors of a training on so many rows of a robot."""
+    """Return seconds, memory and errors of a training on this many rows of a robot."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         write(robot, count, options.seed, options.windows, folder / "dataset")
@@ -96,13 +96,13 @@ def measured(robot: Robot, count: int, options: argparse.Namespace) -> dict[str,
 
 
 def on_cores(count: int) -> None:
-    """Keep this process to so many of its cores, where the system can."""
+    """Limit this process to this many of its cores, where the system can."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:count]))
 
 
 def write(robot: Robot, count: int, seed: int, windows: bool, out: Path) -> None:
-    """Write a dataset of so many rows; a piece is a recording of its own."""
+    """Write a dataset of this many rows; a piece is a recording of its own."""
     columns = [one["name"] for one in robot.inputs]
     rows = []
     for piece, first in enumerate(range(0, count, PIECE)):
@@ -131,7 +131,7 @@ def write(robot: Robot, count: int, seed: int, windows: bool, out: Path) -> None
 
 
 def driven(robot: Robot, count: int, seed: int, windows: bool) -> Drives:
-    """Return so many rows of random commands; for windows, of short ones."""
+    """Return this many rows of random commands; for windows, of short ones."""
     rng = np.random.default_rng([seed, 1])
     commands = random_commands(robot, count, rng)
     if windows:

@@ -1,7 +1,7 @@
-"""Ways to damage a file, drawn from a generator: for tests and benchmarks that read what is left.
+"""Damages files at random, for tests and benchmarks that read damaged files.
 
-:func:`damage` takes any file: its bytes are changed, or, where it is JSON, CSV, safetensors or a
-``.sample`` file, what they say.
+:func:`damage` takes any file: it changes the bytes, or, in JSON, CSV, safetensors and ``.sample``
+files, the values.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-#: What stands in the place of any value of a JSON document. Text in ``<>`` is written as it is.
+#: Replacements of any value of a JSON document. Text in ``<>`` is written as it is.
 VALUES: tuple[Any, ...] = (
     None, True, False, 0, 1, -1, 0.5, -0.0, 1e-300, 1e300, -1e300, 1e6, 10**9, 2**31, 2**63, 2**64,
     "", "x", "0", "é\u202e\ud7ff", "../../../etc/passwd", "/etc/passwd", "..", "a\0b",
@@ -28,7 +28,7 @@ VALUES: tuple[Any, ...] = (
     "<" + "[" * 100_000 + "]" * 100_000 + ">", "<" + '{"a":' * 50_000 + "1" + "}" * 50_000 + ">",
 )  # fmt: skip
 
-#: What stands in the place of a field of CSV.
+#: Replacements of a field of CSV.
 FIELDS = (
     "", " ", "nan", "inf", "-inf", "1e999", "1e308", "-1e308", "1e-308", "-1", "0", "1", "2.5",
     "99999999999999999999", "9" * 5_000, "x", "é", "\0", '"', "'", "=1+1", "1,2", "x" * 200_000,
@@ -37,7 +37,7 @@ FIELDS = (
 
 
 def damage(path: Path, rng: random.Random) -> str:
-    """Change a file on the disk; return in a few words what was done."""
+    """Change a file on the disk; return a few words about the change."""
     if rng.random() < 0.02:
         return _replace_file(path, rng)
     data = path.read_bytes()
@@ -109,7 +109,7 @@ def _nodes(value: Any, path: tuple = ()) -> Iterator[tuple]:
 
 def _json(data: bytes, rng: random.Random) -> tuple[bytes, str]:
     document = json.loads(data)
-    # Half of the changes are near the top, which long lists would otherwise keep from being met.
+    # Half of the changes are near the top, which would otherwise be rare beside long lists.
     places = list(_nodes(document))
     if rng.random() < 0.5:
         places = [path for path in places if len(path) <= 2]

@@ -1,25 +1,26 @@
-"""How well anyone could predict: what differs between one drive of a command and the next.
+"""How well any simulator could predict: the variation between drives of the same command.
 
     python benchmarks/noise_floor.py [-o data/noise_floor.json] [--dataset data/reference]
 
 In the virtual lab, each of many pairs of commands is driven many times. They are taken evenly from
 the held-out rows of a dataset, so that the floor is that of the very commands on which errors are
-measured; the first of a pair lasts as long as it may have, which the dataset does not say. Each
-time the robot is put down at a random place and heading, with a random battery charge, drives a
-random command that stands for what it did before, then the pair, whose second command's
-displacement counts. Places from which the robot would leave the perimeter line are drawn again. A
-network is told of neither place nor battery nor what was before the pair.
+measured; the first of a pair has a random duration, because the dataset has none. Each time the
+robot starts at a random place and heading, with a random battery charge. It drives a random command
+as its past, then the pair, whose second command's displacement counts. Places from which the robot
+would leave the perimeter line are chosen again. A network gets neither place nor battery nor the
+past of the pair.
 
-Everything goes the way of a recording: through the driver, the radio link and the brick, the
+Everything goes through the parts of a recording: the driver, the radio link and the brick, the
 roof camera's frames, the tracker and the displacement code. Left out are the video file, frames
 that no pose is taken from, and the flash: the camera's clock and optics are taken as known.
 
 The floor is the mean absolute deviation from each pair's median, averaged over pairs. All drives
-are kept beside it (``-o``'s name, ending in .csv), for predictions to be held against.
-``--pose truth`` takes the lab's true poses in the camera's place: what is not the tracker's.
+are kept in a file next to it (``-o``'s name, ending in .csv), to be compared with predictions.
+``--pose truth`` uses the lab's true poses instead of the camera: the floor without the tracker's
+errors.
 
-Work is done in pieces of one pair, each kept at once in OUT.parts: an interrupted run goes on
-where it was. On two cores 200 x 30 drives take about 8 minutes, with ``--pose truth`` one.
+Work is done in pieces of one pair, each kept at once in OUT.parts: an interrupted run continues. On
+two cores 200 x 30 drives take about 8 minutes, with ``--pose truth`` one.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ _DURATIONS = RandomCommands.durations
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured.
+    """Robot, commands and repetitions of a measurement.
 
     Attributes:
         robot: seed of the robot and its board.
@@ -153,7 +154,7 @@ def _drive(
 
 
 def _wait(rig: VirtualRig, until: float, eye: Eye | None) -> None:
-    """Wait; look from a little before ``until`` on, and no longer at what was before."""
+    """Wait; look from a little before ``until`` on, and forget earlier frames."""
     clock = rig.robot.clock
     if eye is not None:
         eye_opens = until - _BEFORE - eye.random_phase()
@@ -165,7 +166,7 @@ def _wait(rig: VirtualRig, until: float, eye: Eye | None) -> None:
 
 
 class Eye:
-    """What the tracker makes of the camera's frames about the two instants that count."""
+    """The tracker's poses in the camera's frames about the two instants that count."""
 
     def __init__(self, rig: VirtualRig, rng: np.random.Generator):
         self._camera, self._rng = rig.camera, rng
@@ -282,7 +283,7 @@ def measure(settings: Settings, out: Path, jobs: int) -> dict[str, object]:
 
 
 def _keep(path: Path, settings: Settings, driven: list[np.ndarray]) -> None:
-    """Write every drive beside the command that it is of."""
+    """Write every drive with its command."""
     rows = pairs_of(settings)
     columns: dict[str, list] = {"pair": np.repeat(np.arange(len(driven)), settings.repetitions)}
     columns |= {name: np.repeat(rows[name].to_numpy(), settings.repetitions) for name in INPUTS}

@@ -1,4 +1,4 @@
-"""How fast plans are evolved, beside a PyTorch loop and MuJoCo.
+"""How fast plans are evolved, compared with a PyTorch loop and MuJoCo.
 
 Seconds for 1,000 generations of 250 plans of 13 commands, one run and 30 at once, and command
 steps per second, of
@@ -141,7 +141,7 @@ def finders(options: argparse.Namespace, slots: int, generations: int) -> dict[s
 def papers_size() -> MotionNetwork:
     """Return a simulator of the paper's size that knows no more than a line fitted to a unicycle.
 
-    What its weights are makes no difference to the time that it takes.
+    The values of its weights make no difference to its time.
     """
     network = ProductSummationNetwork(inputs=5)
     genes = 0.3 * torch.randn(

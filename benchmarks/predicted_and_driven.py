@@ -1,12 +1,12 @@
-"""Is what is predicted of a drive what happens to it, on the way that a user goes?
+"""Whether predictions of drives hold, with the commands that a user calls.
 
 Each robot of the virtual lab records commands (guided and random), a simulator is learned of each
 recording, controllers are evolved in it, and each is driven: through driver, radio, brick, camera,
 tracker and guard, by the commands of the command line. No constant was chosen on these robots;
-their seeds were drawn once, before the first run: :data:`ROBOTS`.
+their seeds were chosen at random once, before the first run: :data:`ROBOTS`.
 
-A plan is driven in open loop and replanned after each command. Beside it, it is driven in the
-lab's bare physics, where the guard ends drives by geometry: the two may differ by chance alone.
+A plan is driven in open loop and replanned after each command. It is also driven in the lab's bare
+physics, where the guard ends drives by geometry: the two may differ by chance alone.
 The oracle is the better of the plan and of that plan evolved on in the lab's physics itself, with
 the guard, as both drive in bare physics.
 
@@ -35,7 +35,7 @@ from robust_plans import bound, drive
 from neurosim.base.statistics import wilson
 from neurosim.controllers import read_controller
 
-#: Seeds of the lab's robots: drawn with numpy.random.default_rng(20261124).integers(1000, 10000).
+#: Seeds of the lab's robots: from numpy.random.default_rng(20261124).integers(1000, 10000).
 ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
 #: How the commands of a recording are chosen.
 KINDS = {"guided": ["--guided"], "random": []}
@@ -122,14 +122,14 @@ def one_plan(options: argparse.Namespace, folder: Path, robot: int, seed: int) -
 
 
 def oracle(given: list, robot: int, seed: int) -> list:
-    """Return the commands of a plan that was evolved on in the lab's physics, with the guard."""
+    """Return the commands of a plan that was evolved further in guarded physics of the lab."""
     options = argparse.Namespace(lab_seed=robot, bound_generations=30)
     result = bound([SimpleNamespace(commands=given)], len(given), seed, options)
     return [command for command in result[0].commands if command is not None]
 
 
 def rows(kept: Path) -> Iterator[dict]:
-    """Give what was predicted of each drive and what happened."""
+    """Give each drive's prediction and result."""
     for file in sorted(kept.glob("*/*.check.json")):
         checked, plan = json.loads(file.read_text(encoding="utf-8")), file.name.split(".")[0]
         robot, kind = file.parent.name.split("-")
@@ -149,7 +149,7 @@ def rows(kept: Path) -> Iterator[dict]:
 
 
 def summary(drives: list[dict]) -> dict:
-    """Return what all drives say."""
+    """Return the summary of all drives."""
     results: dict = {}
     for how in ("open-loop", "replanned"):
         chosen = [row for row in drives if row["how"] == how]

@@ -1,15 +1,16 @@
-"""A simulator of a real quadruped, adapted to some of its trials: how well does it tell the others?
+"""How well a simulator of a real quadruped, adapted to some of its trials, predicts the others.
 
     python benchmarks/quadratot.py [--seeds 10] [--data FOLDER] [--out FILE] [--quick] [--json]
 
 The robot is a QuadraTot (Yosinski et al. 2011): 634 trials of gaits of five parameters, each with
-the distance between the places before and after it, in pixels of 1.7 mm. A seed draws 40 trials.
+the distance between the places before and after it, in pixels of 1.7 mm. A seed samples 40 trials.
 The simulator (:mod:`neurosim.simulators.legged.quadratot`) is adapted to these by L3 of back to
-reality (CMA-ES, 8 generations of 12 parameter sets), and predicts the other 594. Beside it:
+reality (CMA-ES, 8 generations of 12 parameter sets), and predicts the other 594. It is compared
+with:
 
 - the simulator as it is, which knows no trial;
 - a Gaussian process (Matern 5/2, a length for each parameter, noise) on the same 40;
-- the two joined: a Gaussian process on what the simulator leaves, whose mean is a line through the
+- the two joined: a Gaussian process on the simulator's residuals, whose mean is a line through the
   simulator's predictions; with the simulator as it is, and adapted;
 - the mean of the 40, for all.
 
@@ -20,8 +21,8 @@ prediction that knows each gait's mean has 1. The rank is Spearman's. No constan
 these trials; the model's docstring says which of its values are guesses.
 
 The record is expected at ``../shared/data/real/quadratot``, with a ``gaits.csv``. A seed takes
-three minutes of a core; ``--out`` keeps each as it is done, and does not compute it again. It needs
-the extras ``bench``, ``mujoco`` and ``cma``.
+three minutes of a core; ``--out`` keeps the result of each seed, which is then not computed again.
+It needs the extras ``bench``, ``mujoco`` and ``cma``.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "real" / "quadr
 COLUMNS = ["amp", "tau_s", "scale_in_out", "mult_fb", "mult_lr", "distance_px"]
 #: Number of trials that are sampled.
 SAMPLED = 40
-#: Of the camera above the robot, m; a trial lasts so long, s.
+#: Height of the camera above the robot, m, and duration of a trial, s.
 PIXEL, SECONDS = 0.0017, 12.0
 GAIT = SineGait(SECONDS)
 METHODS = (
@@ -125,7 +126,7 @@ class Robot(NamedTuple):
         trials: all of the real robot.
         noise: standard deviation of repeats, in pixels and in square roots.
         simulated: its simulator.
-        as_is: [N] what that predicts of the trials before it is adapted, square roots.
+        as_is: [N] its predictions of the trials before it is adapted, square roots.
     """
 
     trials: Trials
@@ -160,7 +161,7 @@ def adapted(simulated: Simulated, trials: Trials, seed: int, generations: int) -
 
 
 def predicted(simulated: Simulated, trials: Trials, parameters: Array) -> Array:
-    """Return what a simulator with parameters [K] predicts of trials, [N] square roots."""
+    """Return predictions of trials by a simulator with parameters [K], [N] square roots."""
     _, first, place = np.unique(trials.gait, return_index=True, return_inverse=True)
     return simulated.fitness(trials.genes[first], parameters)[place]
 
@@ -188,10 +189,10 @@ def process(genes: Array, roots: Array, at: Array) -> Array:
 
 
 def joined(mean: Array, mean_at: Array, genes: Array, roots: Array, at: Array) -> Array:
-    """Return predictions [M] of a process on what a line through a simulator's predictions leaves.
+    """Return predictions [M] of a process on the residuals of a line through a simulator's.
 
     Args:
-        mean, mean_at: [N], [M] what the simulator predicts.
+        mean, mean_at: [N], [M] the simulator's predictions.
         genes, roots, at: as of :func:`process`.
     """
     slope, level = np.polyfit(mean, roots, 1)
@@ -211,11 +212,11 @@ def measures(result: Array, trials: Trials, noise: tuple[float, float]) -> dict[
 def one_seed(
     robot: Robot, seed: int, sampled: int = SAMPLED, generations: int | None = None
 ) -> dict[str, Any]:
-    """Return what every method makes of the trials that are not drawn.
+    """Return every method's predictions of the trials that are not sampled.
 
     Args:
         robot: the real one, and its simulator.
-        seed: of what is drawn, and of L3.
+        seed: of the sampled trials, and of L3.
         sampled: number of trials.
         generations: of L3; by default those of our settings; 0: no L3.
     """

@@ -1,4 +1,4 @@
-"""Peers of the learner that a researcher would fit: on windows of logs, for ``real_robots.py``.
+"""Usual models, fitted to windows of logs, with which ``real_robots.py`` compares the learner.
 
     lagged unicycle   body twist linear in the commands after a lag and a delay, fitted in turn
     lagged bicycle    the same, with squares and products of two commands: a car at small angles
@@ -99,7 +99,7 @@ class Lagged:
 
 
 def described(commands: Array, speed: Array | None, warm: int) -> Array:
-    """Return what a regressor is given of windows, [W, F].
+    """Return a regressor's inputs of windows, [W, F].
 
     Means of the commands 1 to 0.5, 0.5 to 0.2 and 0.2 to 0 s before, and of quarters of the window.
     """
@@ -111,7 +111,7 @@ def described(commands: Array, speed: Array | None, warm: int) -> Array:
 
 
 class Regressor:
-    """A regressor of displacements of one length, on what another model leaves if one is given."""
+    """A regressor of displacements of one length, or of the residuals of another model."""
 
     def __init__(self, kind: str, base: Lagged | None, speeds: bool, warm: int, seed: int):
         self._kind, self._base, self._speeds = kind, base, speeds

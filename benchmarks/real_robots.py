@@ -1,4 +1,4 @@
-"""How well real robots are learned from logs of their drives, beside peers on the same windows.
+"""How well real robots are learned from logs of drives, compared with peers on the same windows.
 
     python benchmarks/real_robots.py [--robots dart,asphalt] [--quick] [--seed 0] [--json]
     python benchmarks/real_robots.py --peers peers.json      peers are measured once and kept there
@@ -11,16 +11,16 @@ drives that are shorter, the longest windows are as long as these allow. Ratios 
 over lengths and outputs, first to the single peer with the least such mean, then to the best peer
 at each length and output.
 
-Peers are those of :mod:`real_peers`. ``+u`` is on the residuals of the lagged bicycle, ``+v`` is
-given the speed measured before the window, which neither ours nor the others know; ratios are to
-peers without it, and then to all.
+Peers are those of :mod:`real_peers`. ``+u`` is on the residuals of the lagged bicycle, ``+v`` gets
+the speed measured before the window, which the other methods do not; ratios are to peers without
+it, and then to all.
 
 Intervals: the percentage of windows within the central intervals of 50, 80 and 95 %, of each
 output; for each robot their mean over lengths and outputs, and by how many points those of 80 % are
 off on average.
 
-Which robots constants were chosen on: those of learning by windows on ``dart``, ``asphalt`` and
-``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``. ``gravel``,
+Constants were chosen on some of the robots: those of learning by windows on ``dart``, ``asphalt``
+and ``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``. ``gravel``,
 ``sand``, ``utias`` and ``lab 105`` are only reported.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
@@ -60,18 +60,18 @@ OUTPUTS = ("dx", "dy", "dtheta")
 READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
 #: Fraction of a log, last in time, that is held out, and how long windows are, s.
 HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
-#: Commands are sampled in steps of this, s, from so long before a window on; windows begin so often
-#: in what is learned from, and in what is held out; and there are no more than so many.
+#: Commands are sampled in steps of this, s, from this long before a window on; windows begin this
+#: often in the earlier rows, and in the held-out ones; and the largest number of windows.
 STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 3.0, 0.1, 0.25, 1200, 300
 #: A speed before a window is measured over this time, s.
 BEFORE = 0.1
-#: Samples drawn of each window.
+#: Number of samples of each window.
 DRAWS = 200
 
 
 @dataclass(frozen=True)
 class Robot:
-    """What is known of a robot.
+    """A robot's logs, in two parts.
 
     Attributes:
         names: of its commands.
@@ -203,7 +203,7 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
 
 
 def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -> Cut:
-    """Return windows of a length (s) that begin so often (s), and are no more than ``most``."""
+    """Return windows of a length (s) that begin at this interval (s), ``most`` at most."""
     results: list[tuple[Array, Array, Array]] = []
     offsets = (np.arange(-round(WARM / STEP), round(length / STEP)) + 0.5) * STEP
     for log, start in logs:
@@ -248,7 +248,7 @@ def data_of(robot: Robot) -> TrainingData:
 
 
 def samples(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
-    """Return predicted displacements [W, 3] of windows, and some drawn, [D, W, 3]."""
+    """Return predicted displacements [W, 3] of windows, and samples of them, [D, W, 3]."""
     commands, warm = torch.tensor(windows.commands), round(WARM / STEP)
     generator = torch.Generator().manual_seed(seed)
     lasts = torch.full((len(commands), 1), STEP, dtype=torch.float64)
@@ -284,7 +284,7 @@ def held(sampled: Array, windows: Cut) -> list[list[float]]:
 
 
 def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]:
-    """Return of each length (as text) what peers miss, "error", and their "coverage"."""
+    """Return the peers' "error" and "coverage" at each length (as text)."""
     warm, lengths = round(WARM / STEP), lengths_of(robot)
     earlier = [(log, float(log.time[0])) for log in robot.learned]
     basis = cut(earlier, 0.5, EVERY, MOST)
@@ -338,7 +338,7 @@ def _composed(model: Regressor, windows: Cut) -> Array:
 
 
 def ratios(ours: dict[str, list[float]], peers: dict[str, dict[str, dict]], speeds: bool) -> dict:
-    """Return what ours misses beside peers, of windows and of free runs (the last length).
+    """Return ratios of our errors to the peers', for windows and for free runs (the last length).
 
     Returns:
         ``windows`` and ``free``, each with the best single ``peer``, the ratio ``of peer``, the

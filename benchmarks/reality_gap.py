@@ -1,8 +1,8 @@
-"""How far plans evolved in a learned simulator miss in (virtual) reality.
+"""How far drives of evolved plans end from their prediction, in (virtual) reality.
 
 For each seed a simulator is learned from the reference dataset and plans are evolved in it; every
-plan is driven in the virtual lab, through brick, camera and tracker, and held against what was
-predicted. Prints how often plans complete the course, and the distance between predicted and
+plan is driven in the virtual lab, through brick, camera and tracker, and compared with the
+prediction. Prints how often plans complete the course, and the distance between predicted and
 actual position after each command.
 
     python benchmarks/reality_gap.py            the default trainer; plans evolved in the mean

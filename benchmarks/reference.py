@@ -4,8 +4,8 @@
 
 DATASET is a dataset, or a folder with the Odometry and Groundtruth files of a UTIAS recording. The
 training is that of ``neurosim train DATASET``: all but the last fifth of the rows in time, with the
-default settings. Next to it stand the ideal unicycle, fitted to the same rows, and the paper's own
-robot.
+default settings. The ideal unicycle, fitted to the same rows, and the paper's own robot are printed
+next to it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""What robust evolution buys, and whether predicted probabilities of success can be believed.
+"""How much robust evolution helps, and whether predicted probabilities of success hold.
 
 In a simulator learned from the reference dataset plans of 10 and 13 commands are evolved twice:
 without noise, and robustly from there. Each is driven many times in the virtual lab, with the
-lab's own variation (placing, slip, caster), and judged by its true path. What an open-loop plan can
-do at best is bounded by plans that are evolved robustly on from some of these in the lab's own
-physics; these some ("begun with") are told by themselves too.
+lab's own variation (placing, slip, caster), and judged by its true path. To bound open-loop plans,
+some of these are evolved further, robustly, in the lab's own physics; the
+results of these first plans ("begun with") are printed too.
 Reliability: plans of all qualities (both kinds, and stages on the way), predicted probability
-against what happened, Brier score against always saying the base rate.
+against the result, Brier score against always predicting the base rate.
 
     python benchmarks/robust_plans.py                    30 plans of each length
     python benchmarks/robust_plans.py --quick            6 plans of each length, 2 for the bound
@@ -17,9 +17,8 @@ against what happened, Brier score against always saying the base rate.
 
 With --kept the work can be shared out: --first-plan 15 --plans 15 is another process's half.
 
-Drives are of the lab's physics itself, and end where the guard of a trial would end them; the
-first drive of every plan is made once more the long way, through brick, radio and driver
-(--brick 0 leaves that out).
+Drives are of the lab's physics itself, and end where the guard of a trial would end them; the first
+drive of every plan is repeated through brick, radio and driver (--brick 0 leaves that out).
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ TASK = NineRectangles()
 PERIMETER = Perimeter(Board(), ((LIGHT_AHEAD, LIGHT_ASIDE), (LIGHT_AHEAD, -LIGHT_ASIDE)))
 #: The lab's motors, caster and slip need no finer step for a plan's rollout.
 COARSE = 0.01
-#: Poses of a true path are judged this often, s.
+#: Time between the judged poses of a true path, s.
 DENSE = 0.02
 
 
@@ -178,7 +177,7 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
 
 
 def improved(simulator, start: list[SavedController], family: Plan, how: EvolveSettings, seed: int):
-    """Evolve plans robustly on, each in a run of its own."""
+    """Evolve plans further, robustly, each in a run of its own."""
     genes = np.stack([family.encode(plan.commands) for plan in start])
     how = replace(how, runs=len(genes))
     evaluator = Evaluator(simulator, TASK, family, placing=how.placing)
@@ -191,7 +190,7 @@ def improved(simulator, start: list[SavedController], family: Plan, how: EvolveS
 
 
 def bound(start: list[SavedController], length: int, seed: int, options: argparse.Namespace):
-    """Evolve plans robustly on in the lab's own physics."""
+    """Evolve plans further, robustly, in the lab's own physics."""
     how = RobustSettings(generations=options.bound_generations, draws=16, selection_draws=128)
     how = replace(how, genetic=replace(how.genetic, population=50))
     settings = EvolveSettings(runs=1, robust=how, final_draws=200)
@@ -200,7 +199,7 @@ def bound(start: list[SavedController], length: int, seed: int, options: argpars
 
 
 def driven(simulator, plan: SavedController, kind, length, seed, options) -> dict:
-    """Return what was predicted of a plan and what happened to it."""
+    """Return a plan's prediction and the results of its drives."""
     given = plan.given
     alone = SavedController(FixedPlan(tuple(given)), np.empty(0), TASK.describe(), TASK.start)
     prediction = check(alone, simulator, TASK, draws=2048, seed=seed + 77)
@@ -294,7 +293,7 @@ def judged(path: np.ndarray, segment: np.ndarray, commands: int) -> bool:
 
 
 class LabPhysics(Simulator):
-    """The lab's own physics as a simulator: what no learner has."""
+    """The lab's own physics as a simulator, which no learner has."""
 
     kind, has_noise, perimeter = "lab-physics", True, PERIMETER
     state_names = ("x", "y", "theta", *(f"lab_{n}" for n in range(int(physics.S.SIZE))))
@@ -304,7 +303,7 @@ class LabPhysics(Simulator):
         self._params, self._field = params, ground(params)
 
     def start(self, pose, generator=None):
-        """Return the states of robots at ``pose``; a generator draws the seeds of their slip."""
+        """Return the states of robots at ``pose``; a generator gives the seeds of their slip."""
         states = np.stack([physics.new_state(self._params, 0, tuple(p)) for p in pose[:1].numpy()])
         states = np.repeat(states, len(pose), 0)
         states[:, 1:4] = pose.numpy()
@@ -314,7 +313,7 @@ class LabPhysics(Simulator):
         return torch.cat([pose, torch.from_numpy(states)], dim=1)
 
     def step(self, state, command, generator=None):
-        """Return the states after a command; without a generator nothing is drawn."""
+        """Return the states after a command; without a generator there is no noise."""
         params = self._params
         if generator is None:
             params = replace(params, slip_draw=0.0, caster_draw=0.0)
@@ -362,8 +361,8 @@ def summary(plans: list[dict], length: int, kind: str) -> dict:
 def reliability(plans: list[dict], bins: int = 10) -> dict:
     """Return the reliability diagram of predicted probabilities, and Brier scores.
 
-    Scores are over drives: mean squared difference between the probability that was said and
-    what happened, 0 or 1 (Brier 1950); the base rate's is that of always saying the mean.
+    Scores are over drives: mean squared difference between the predicted probability and the
+    result, 0 or 1 (Brier 1950); the base rate's is that of always predicting the mean.
     """
     plans = [plan for plan in plans if plan["kind"] != "bound"]
     expected = np.array([plan["predicted"] for plan in plans])

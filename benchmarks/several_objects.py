@@ -1,11 +1,11 @@
-"""How readings of several objects at once combine: what the simulator of tables assumes.
+"""How readings of several objects at once combine: tests an assumption of the table simulator.
 
-Tables are made of what robots of the virtual lab read before one wall and one round obstacle,
-without noise. At random places in the paper's arena, and in drawn ones near boards that stand
+Tables are made of the readings of robots of the virtual lab before one wall and one round obstacle,
+without noise. At random places in the paper's arena, and in random arenas near boards that stand
 inside, its walls and obstacles together give readings that the lab knows (light reflected by all
 of them, through the sensors' circuits); the tables give every object's alone. Compared are
 
-  - their sum above ambient, of each wall as much as is seen of it: TableSimulator.sense;
+  - their sum above ambient, of each wall its visible part: TableSimulator.sense;
   - the brightest alone;
   - the nearest object alone.
 
@@ -32,9 +32,9 @@ from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.simulators.tables.simulator import RADIUS
 
 FIRST, STEP, DISTANCES, ANGLES = 0.005, 0.002, 20, 180
-#: What stands so far away is not there, m.
+#: The distance at which an object has no effect, m.
 FAR = np.array([1e3, 1e3, 0.0, 0.0, 0.0])
-#: Two objects are near when their surfaces are so near the rim, m.
+#: Two objects are near when their surfaces are within this distance of the rim, m.
 NEAR = 0.035
 
 
@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Return how far each way is off at random poses in arenas; in drawn ones, near boards."""
+    """Return the error of each rule at random poses in arenas; in random arenas, near boards."""
     off, two = [], []
     for robot in options.robots:
         params, rng = KheperaParams.sampled(robot), np.random.default_rng(robot)
@@ -91,7 +91,7 @@ def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> lis
 
 
 def readings(params: KheperaParams, arena: Place, poses: np.ndarray) -> np.ndarray:
-    """Return what a robot without noise reads at poses [N, 3], [N, 8] of 0..1."""
+    """Return the readings of a robot without noise at poses [N, 3], [N, 8] of 0..1."""
     rng = np.random.default_rng(0)
     walls, cylinders = arena.surfaces, arena.cylinders
     circuit = params.angle, params.reach, params.threshold, params.offset
@@ -103,7 +103,7 @@ def readings(params: KheperaParams, arena: Place, poses: np.ndarray) -> np.ndarr
 
 
 def tables(params: KheperaParams) -> SensorTable:
-    """Return what a robot would sample of one wall and one obstacle, exactly."""
+    """Return the exact samples that a robot would take of one wall and one obstacle."""
     lab, places = sampling_places()
     samples = {}
     for name in ("wall", "cylinder"):
@@ -121,7 +121,7 @@ def tables(params: KheperaParams) -> SensorTable:
 def combined(
     sensors: SensorTable, arena: Place, poses: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return readings [N, 8] at poses by each way, and where two objects are near [N]."""
+    """Return readings [N, 8] at poses by each rule, and where two objects are near [N]."""
     state, whole = torch.from_numpy(poses), TableSimulator(sensors, place=arena)
     walls, obstacles = whole.arrays.walls, whole.arrays.obstacles
     things = [(walls[w : w + 1], obstacles[:0]) for w in range(len(walls))]
@@ -129,7 +129,7 @@ def combined(
     alone = []
     for wall, obstacle in things:
         only = TableSimulator(sensors, place=arena)
-        # Of all that stands there this alone is seen, and nothing stands before it.
+        # This object alone is in view, and nothing is in front of it.
         vars(only)["arrays"] = whole.arrays._replace(
             walls=wall, obstacles=obstacle, screens=walls[:0]
         )

@@ -1,17 +1,17 @@
-"""Commands that are asked to end at random moments, by Ctrl-C, a kill or a closed terminal.
+"""Ends commands at random moments, by Ctrl-C, a kill or a closed terminal.
 
 Each case runs a command in a process of its own and sends one signal, or three in a burst, at a
-random moment, early or late by how long a command takes on this computer now, or once the robot
-drives; in some the machine code of all loops has to be compiled first. It is a fault where
+random moment: early or late, relative to a command's time on this computer now, or once the robot
+drives. In some cases the machine code of all loops has to be compiled first. It is a fault if
 
-  - the command takes longer than --patience to end, or ends with another code than 128 and the
-    signal's number (`lab` and `watch`: or 0, after Ctrl-C);
+  - the command takes longer than --patience to end, or ends with another code than 128 plus the
+  signal's number (`lab` and `watch`: or 0, after Ctrl-C);
   - there is not one line on stderr that says so, or a traceback;
   - a robot outside of the process, on its line, still moves a second later;
-  - a file that was left cannot be read, or --resume refuses what was left.
+  - a file that it left cannot be read, or --resume refuses the files.
 
-A signal that comes before the command's own code runs ends it as it ends any program of Python;
-such cases are counted as "before".
+A signal before the command's own code runs ends it as it ends any Python program; such cases are
+counted as "before".
 
     python benchmarks/signals.py                  200 cases, about half an hour on one core
     python benchmarks/signals.py --cases 20 --seed 1 --made ARTEFACTS
@@ -72,7 +72,7 @@ COMMANDS = (
     "lab nxt",
     "demo out",
 )
-#: A controller of a user's own, which is stepped.
+#: A user's own controller, which is stepped.
 PLUGIN = """
 import neurosim as ns
 
@@ -205,7 +205,7 @@ def asked_to_end(
 
 
 def start_up() -> float:
-    """Return how long it takes now to start Python and import what most commands need, s."""
+    """Return the time now to start Python and import the modules of most commands, s."""
     began = time.monotonic()
     subprocess.run([sys.executable, "-c", "import neurosim.loop.evolve"], check=True)
     return time.monotonic() - began
@@ -235,7 +235,7 @@ def robots(line: str) -> Iterator[tuple[list[str], Callable[[], bool]]]:
 
 
 def unreadable(work: Path) -> list[str]:
-    """Return what cannot be read of that which was left."""
+    """Return the files left that cannot be read."""
     from neurosim.base.errors import UserError
     from neurosim.reports import write_report
 

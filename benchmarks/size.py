@@ -1,7 +1,7 @@
 """How large the source is: files, lines of code, and files from a command to the kernels.
 
-A line of code is one that is not blank, a comment or part of a docstring. The path are
-the files on the stack where ``neurosim evolve`` enters the compiled loop, and the kernels.
+A line of code is one that is not blank, a comment or part of a docstring. The path consists of the
+files on the stack when ``neurosim evolve`` enters the compiled loop, and of the kernels.
 
     python benchmarks/size.py
     python benchmarks/size.py --json

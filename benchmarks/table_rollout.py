@@ -1,12 +1,12 @@
-"""How fast robots are driven in tables, beside Kheperax and a plain PyTorch step.
+"""How fast robots are driven in tables, compared with Kheperax and a plain PyTorch step.
 
-Robot steps per second in batches of 100 and of 1,000 networks of 500 steps each, of
+Robot steps per second in batches of 100 and of 1,000 networks of 500 steps each, with
 
   - ours, compiled, with uniform noise and without: 8 sensors interpolated from 4 walls and 3
     obstacles, a network, motion, collisions, and the fitness of equation (1);
   - PyTorch: the same simulator's own sense() and step() for the whole batch at once;
-  - Kheperax: its robot and network of its kind (three laser beams and two bumpers), in JAX, 4
-    walls and 3 segments for obstacles, with the same fitness of what it senses.
+  - Kheperax: its robot and its kind of network (three laser beams and two bumpers), in JAX, 4
+    walls and 3 segments for obstacles, with the same fitness of its readings.
 
 And seconds of the whole evolution: 200 generations of 100 networks of 500 steps.
 
@@ -148,7 +148,7 @@ def kheperax(batch: int, repeats: int) -> float | None:
         from kheperax.tasks.main import KheperaxTask
     except ImportError:
         return None
-    for name in ("tree_leaves", "tree_map"):  # Kheperax 0.2 calls what newer JAX has moved
+    for name in ("tree_leaves", "tree_map"):  # Kheperax 0.2 needs names that JAX has moved
         if not hasattr(jax, name):
             setattr(jax, name, getattr(jax.tree_util, name))
     config = KheperaxConfig.get_default()

@@ -17,14 +17,14 @@ camera (benchmarks/tracking_scenes.py). Markers stand 10 cm above the board and 
   - false: poses where less than a tenth of a marker is in view, and poses more than 1 cm or 5
     degrees off; swapped: of these, those with front and back exchanged.
 
-Beside it, on the same ways and in otherwise the same pictures, a robot that carries one tag with a
+For comparison, on the same paths and in otherwise the same pictures, a robot carries one tag with a
 side of 6 cm (``--side``), a 4 x 4 ArUco marker (``--tag``). "tag" is the tracker of
 ``--markers aruco``, "OpenCV" is OpenCV's detector alone, with its corners refined.
-With ``--recording`` the poses of a recording made in the virtual lab are compared with the truth
-that was kept beside it, calibration included. A constant offset and a lag of the clock (the radio's
-delay, which displacements between two stops do not see) are told apart from the scatter.
+With ``--recording`` the poses of a recording made in the virtual lab are compared with the truth in
+its folder, calibration included. A constant offset and a lag of the clock (the radio's
+delay, which displacements between two stops do not see) are separated from the scatter.
 
-Both are told the camera as it is; what a calibration adds is not in these figures. Only the clips
+Both get the true camera; the errors of a calibration are not in these figures. Only the clips
 that say so are compressed, with OpenCV's MPEG-4 encoder.
 """
 

@@ -125,7 +125,7 @@ class Clip:
     Args:
         scenario: what it shows.
         size: width and height in pixels.
-        seed: of the robot's way and of all noise.
+        seed: of the robot's path and of all noise.
         seconds: how long it is.
         tag: that the robot carries instead of its two markers.
         side: of the tag's black square, in m.
@@ -155,7 +155,7 @@ class Clip:
             self.optics.plane_map(0.0), scene.grain(rng, room=1.5), 0.0, 0.18
         )
         self._still_colour, self._still_fraction = None, None
-        #: What the robot carries, in a word.
+        #: The name of the robot's markers.
         self.carried = "pair" if tag is None else f"{tag.dictionary}-{tag.number}-{side}"
         self._tag_side = None if tag is None else side
         self._texture = robot_texture(scenario.shape, tag, side)
@@ -339,10 +339,10 @@ _COVERS = (
 
 
 def path_of(scenario: Scenario, rng: np.random.Generator, seconds: float):
-    """Return a function from time (s) to pose [3]: commands as a recording has them, smoothed.
+    """Return a function from time (s) to pose [3]: commands as in a recording, smoothed.
 
     The wheels follow a command within a tenth of a second, as the lab's do; commands that would
-    take the robot over the perimeter line are drawn again.
+    take the robot over the perimeter line are chosen again.
     """
     step, lag = 0.002, 0.08
     count = math.ceil((seconds + 0.1) / step) + 60
@@ -381,7 +381,7 @@ def path_of(scenario: Scenario, rng: np.random.Generator, seconds: float):
 
 def _interpolator(poses: NDArray, step: float):
     def at(time: float) -> NDArray:
-        # Time 0 lies a little in, so that an exposure may begin before it.
+        # Time 0 is a little after the beginning, so that an exposure may begin before it.
         place = (time + 0.05) / step
         i = int(place)
         return poses[i] + (place - i) * (poses[i + 1] - poses[i])

@@ -1,4 +1,4 @@
-"""How fast video is tracked, beside decoding it, the usual recipe, and ArUco.
+"""How fast video is tracked, compared with decoding it, the usual recipe, and ArUco.
 
     python benchmarks/tracking_speed.py             about 4 minutes
     python benchmarks/tracking_speed.py --quick     one minute, 1280x720, 2 rounds

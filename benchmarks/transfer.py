@@ -1,12 +1,13 @@
-"""What networks evolved in tables do on the virtual robot: Lund and Miglino 1996, Figures 3 and 4.
+"""How well networks of tables transfer to the virtual robot: Lund and Miglino 1996, Figures 3, 4.
 
 Five robots of the virtual lab sample themselves, through their serial line. In simulators made of
 these samples, of a tenth of them (every second distance, every fifth angle, 36 of 441 motor
 settings) and of hand-written formulas without any, networks are evolved for 200 generations. The
-population then goes on for 20 generations on the robot, in the lab's own time. Of every run:
+population then evolves for 20 more generations on the robot, in the lab's own time. Printed for
+every run:
 
   - fitness of the simulator's best network in the simulator, with the noise of its evolution and
-    without, and on the robot, put down at the same 50 starts;
+    without, and on the robot, at the same 50 starts;
   - mean fitness of the population on the robot, in the first generation there and the last, and
     of the best after it, from the same starts again;
   - how far apart the paths of simulator (without noise) and robot are over 10 s from the same
@@ -103,7 +104,7 @@ def main() -> None:
 def run(
     kind: str, robot: int, sampled: Callable[[int], Path], options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Make a run, or take it from the file where runs are kept."""
+    """Make a run, or read it from the file of runs."""
     what = {"tables": kind, "run": robot}
     what |= {name: getattr(options, name) for name in ("generations", "on_robot", "baud", "direct")}
     if options.kept and options.kept.exists():
@@ -202,7 +203,7 @@ def formulas() -> SensorTable:
 
 
 def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, float]:
-    """Evolve in a simulator and on, and return what is told of a run."""
+    """Evolve in a simulator, then on the robot, and return the results of the run."""
     simulator = simulator_of(kind, folder)
     evaluator, arena = Evaluator(simulator, TASK, FAMILY), paper_arena()
     settings = default_settings(FAMILY, TASK, generations=options.generations)

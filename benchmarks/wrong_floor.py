@@ -1,10 +1,10 @@
 """A simulator of another floor: 20 trials of back to reality, or 500 fresh commands?
 
-A robot of the lab is recorded and its simulator learned; then the floor is another one, or a wheel
-is worn, or the battery weak. Plans that complete the course are evolved robustly, with the same
+A robot of the lab is recorded and its simulator learned; then the floor changes, or a wheel is
+worn, or the battery is weak. Plans that complete the course are evolved robustly, with the same
 settings, in four simulators:
 
-  - as it was: the one of the old floor;
+  - as it was: the simulator of the old floor;
   - back to reality: that one, its motion corrected by back to reality after 20 trials at most,
     each driven by brick and radio, filmed and tracked;
   - fresh commands: one that is learned from as many fresh commands on the new floor, without the
@@ -43,7 +43,7 @@ from neurosim.simulators import read_simulator
 from neurosim.training.train import learn
 from neurosim.trials.filmed import VirtualNxt
 
-#: What is other than when the robot was recorded, by name. Nothing was tuned on robots 30 and up.
+#: Changes since the robot was recorded, by name. Nothing was tuned on robots 30 and up.
 FLOORS: dict[str, dict[str, float]] = {
     "slippery": {"slip": 0.10},
     "slippery, left wheel worn": {"slip": 0.10, "worn": 0.03},
@@ -106,7 +106,7 @@ def line(one: dict[str, Any]) -> str:
 
 
 def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, Any]:
-    """Return what plans of the four simulators do on a floor."""
+    """Return the results of plans of the four simulators on a floor."""
     robot, family = FIRST_ROBOT + number, Plan(slots=SLOTS)
     reality = VirtualNxt(family, TASK, robot, seed=number, **FLOORS[name])
     old, _ = random_rows(robot, number, options.commands)

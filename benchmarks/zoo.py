@@ -1,21 +1,22 @@
-"""How well the learner predicts robots of different make, beside ordinary regressors.
+"""How well the learner predicts robots of different make, compared with ordinary regressors.
 
     python benchmarks/zoo.py --peers peers.json [--sizes 30,100,300,1000] [--seeds 3] [--json]
     python benchmarks/zoo.py --peers peers.json --learners ours --robots car,omni
     python benchmarks/zoo.py --peers peers.json --outliers --repeated
     python benchmarks/zoo.py --peers peers.json --ours ours.json --json    in parts, or resumed
 
-Robots are those of :mod:`zoo_robots`, judged by what they would do without noise, and that of the
-UTIAS recording (``--utias FOLDER``, with its Odometry and Groundtruth files), whose last quarter in
-time is held out and judged as measured; a seed is a stretch of the rows before. Where it has fewer
-rows than a size, all of them are taken once, for the first such size.
+Robots are those of :mod:`zoo_robots`, judged by their motion without noise, and that of the UTIAS
+recording (``--utias FOLDER``, with its Odometry and Groundtruth files), whose last quarter in
+time is held out and judged as measured; a seed is a stretch of the rows before. If it has fewer
+rows than a size, all of them are used once, for the first such size.
 
 Errors are the mean absolute ones of dx, dy (cm) and dtheta (deg), medians over seeds. A ratio is
-that to the best peer at the output; over outputs and robots, geometric means. Learners:
+the error over that of the best peer at the output; means over outputs and robots are geometric.
+Learners:
 
     ours          the default trainer, no ensemble, no noise model
-    whole         the same, from whole commands alone, which is all that peers get
-    ideal         unicycle of two factors, of robots told left and right, or v and w
+    whole         the same, from whole commands alone, as peers get them
+    ideal         unicycle of two factors, of robots with commands left and right, or v and w
     fitted        unicycle whose speeds ahead and aside and rate of turn are linear in all that a
                   command drives (of a car, also in speed times steering), by least squares
     lagged        unicycle whose twist follows commands after a lag and a delay, both fitted (of a
@@ -26,17 +27,17 @@ that to the best peer at the output; over outputs and robots, geometric means. L
     process       Gaussian process, as in accuracy.py: lengths of 1,000 rows, at most 2,000 used
     perceptrons   mean of five, two layers of 64 tanh each, each stopped early on its own tenth
 
-``+u``: on what the fitted unicycle leaves; ``+l``: on what the lagged one leaves. Peers get the
-inputs that ours gets and whole commands.
+``+u``: on the residuals of the fitted unicycle; ``+l``: on those of the lagged one. Peers get our
+inputs and whole commands.
 
 ``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_band``, ``swing``,
 ``process`` (the Gaussian process) or ``row_weights``, each in turn; columns ``-PART``.
 
 ``--outliers``: one row in a hundred, but at least one, ends 30 cm off in a random direction.
 ``--repeated``: a recording added five times; sizes are its rows before. ``--peers FILE`` keeps
-peers' errors: they are measured once and shown whatever ``--learners`` says. ``--ours FILE`` keeps
-those of ours. So the zoo can be measured in parts (some ``--robots``, ``--sizes`` or ``--learners``
-at a time), or go on where it was stopped: a last call with all of them and both files shows it all.
+peers' errors: they are measured once, and shown with any ``--learners``. ``--ours FILE`` keeps our
+errors. So the zoo can be measured in parts (some ``--robots``, ``--sizes`` or ``--learners`` at a
+time), or continued after a stop: a last call with all of them and both files shows it all.
 The files know nothing of changes to robots, peers or trainer; delete them then. ``--json`` has also
 the root mean square errors.
 
@@ -121,8 +122,8 @@ class Case:
     """A robot to be learned.
 
     Attributes:
-        robot: names and units of what a command drives.
-        judged: the rows that predictions are held against.
+        robot: names and units of the parts of a command.
+        judged: the rows that predictions are compared with.
         learned: of a number of rows and a seed, the rows to learn from.
         most: the largest number of rows there is.
     """
@@ -328,7 +329,7 @@ class Each:
 
 
 def makers() -> dict[str, Callable[[int], object]]:
-    """Return what makes regressors of all outputs from a seed, by learners' names."""
+    """Return functions that make regressors of all outputs from a seed, by learners' names."""
     result = regressors()
     return {
         "linear": partial(Each, Linear),
@@ -345,7 +346,7 @@ MODELS: dict[str, Callable[[Robot, Drives], Predict | None]] = {
     "fitted": partial(unicycle, two_factors=False),
     "lagged": lagged,
 }
-#: Of which model regressors of such a name learn the residuals.
+#: The models whose residuals regressors learn, by the ends of their names.
 RESIDUALS = {"u": "fitted", "l": "lagged"}
 REGRESSORS = ("linear", "forest", "boosting", "process", "perceptrons")
 PEERS = (
@@ -356,12 +357,12 @@ PEERS = (
 ABLATIONS = tuple(f"-{name}" for name in MECHANISMS)
 OURS = ("ours", "whole", *ABLATIONS)
 LEARNERS = (*OURS, *PEERS)
-#: Learners that are measured if nothing else is asked for.
+#: Learners that are measured by default.
 USUAL = ("ours", "whole", *PEERS)
 
 
 def learner_of(name: str, robot: Robot, drives: Drives, seed: int) -> Predict | None:
-    """Return what a learner predicts with, None if it is none for this robot."""
+    """Return a learner's predictions as a function, None if it does not suit this robot."""
     if name in OURS:
         return ours(name, robot.inputs, drives, seed)
     if name in MODELS:
@@ -378,7 +379,7 @@ def learner_of(name: str, robot: Robot, drives: Drives, seed: int) -> Predict | 
 
 
 def spoiled(drives: Drives, seed: int, outliers: bool, repeated: bool) -> Drives:
-    """Return drives as the options want them."""
+    """Return drives with the outliers or repeats of the options."""
     if outliers:
         rng = np.random.default_rng([seed, 4])
         count = max(round(OUTLIERS * len(drives.x)), 1)
@@ -418,7 +419,7 @@ class Known:
             self._results = json.loads(path.read_text(encoding="utf-8"))
 
     def get(self, key: str) -> dict | None:
-        """Return what is known of a key."""
+        """Return the result of a key."""
         return self._results.get(key)
 
     def put(self, key: str, result: dict) -> None:

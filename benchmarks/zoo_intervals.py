@@ -1,18 +1,18 @@
-"""Whether intervals hold what they say they hold, on robots of different make.
+"""Whether intervals hold the stated fraction of results, on robots of different make.
 
     python benchmarks/zoo_intervals.py [--robots "lab 101,car"] [--rows 1000] [--seeds 1] [--json]
     python benchmarks/zoo_intervals.py --robots fresh --logs gravel,sand --rows 20,50,200 --seeds 6
     python benchmarks/zoo_intervals.py --kept FILE ...     in parts, or on where it was stopped
 
 A simulator with members and noise model is learned of each robot of the zoo. Then the robot is
-driven by fresh commands, with noise: random ones, as it was for learning, and ones that plans are
-made of (forward, fast, long). Fractions of what happened that lay within the central intervals of
-50, 80 and 95 %: of dx, dy and dtheta of single commands; of parts of commands, until an instant
+driven by fresh commands, with noise: random ones, as for learning, and typical commands of plans
+(forward, fast, long). Printed are the fractions of results within the central intervals of 50, 80
+and 95 %: of dx, dy and dtheta of single commands; of parts of commands, until an instant
 within each; and, after ten commands in a row, of the position (regions of that probability) and
 the heading.
 
-``--logs``: robots of :mod:`real_robots`, each learned from so many rows in a row, anywhere in its
-log. Fractions are those of dx, dy and dtheta of held-out windows, their means over lengths.
+``--logs``: robots of :mod:`real_robots`, each learned from successive rows, anywhere in its log.
+Fractions are those of dx, dy and dtheta of held-out windows, their means over lengths.
 
 The last table has the means over robots and seeds: with few rows one recording's intervals may be
 too narrow and another's too wide. How noise is learned from few rows was chosen on ``classroom``,
@@ -45,9 +45,9 @@ from neurosim.training.base import TrainingData
 from neurosim.training.coverage import LEVELS, central, draw_displacements, region
 from neurosim.training.train import learn
 
-#: Fresh commands of each kind, how many are driven in a row, and samples drawn.
+#: Fresh commands of each kind, how many are driven in a row, and number of samples.
 COMMANDS, ROW, DRAWS = 2000, 10, 300
-#: Held-out windows of each length of a log, at most, and samples drawn of each.
+#: Largest number of held-out windows of each length of a log, and number of samples of each.
 WINDOWS, OF_WINDOWS = 100, 100
 KINDS: dict[str, Callable] = {"random": random_commands, "plan": plan_commands}
 

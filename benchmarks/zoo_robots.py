@@ -1,10 +1,10 @@
 """Robots of different make, for benchmarks of the learner.
 
-Some of the learner's constants were chosen with the others in sight; :data:`FRESH` ones were added
-when they stood.
+Some of the learner's constants were chosen on the others; the :data:`FRESH` robots were added
+afterwards.
 
 Every robot is driven by random commands, one straight into the next, and seen by a camera with
-noise; ``clean`` is what it would have done without any noise. Lab robots are those of
+noise; ``clean`` is the same motion without any noise. Lab robots are those of
 :mod:`neurosim.lab.nxt`, of seeds that nothing else in the project uses.
 """
 
@@ -34,11 +34,11 @@ DIFFERENTIAL, UNICYCLE, OMNI, CAR = range(4)
 
 @dataclass(frozen=True)
 class Drives:
-    """What a robot did.
+    """Commands of a robot, and its displacements.
 
     Attributes:
-        x: what it was told, [N, I]: the command before, the command, its duration (s).
-        y: how it was displaced, as the camera saw it, [N, 3] m, m, rad.
+        x: inputs, [N, I]: the command before, the command, its duration (s).
+        y: displacements, as the camera saw them, [N, 3] m, m, rad.
         times: instants within each command, [N, LOOKS] s since its beginning, increasing, the last
             its end.
         poses: at these, in the frame of the pose at the command's beginning, as the camera saw
@@ -56,7 +56,7 @@ class Robot:
     """A robot of the zoo; see :data:`ZOO`.
 
     Attributes:
-        names: of what a command drives.
+        names: of the parts of a command.
         units: of these.
         largest: magnitudes of the largest commands.
         kind: how actuators' speeds make a body twist.
@@ -65,13 +65,14 @@ class Robot:
         gain: of each actuator.
         lag: time constants of each actuator, s.
         slowing: of the lag where the speed falls.
-        rate: the most that an actuator's fraction of its largest speed changes in a second.
+        rate: the largest change in a second of an actuator's speed, as a fraction of its largest
+            speed.
         delay: from a command to its first answer, s; commands given meanwhile wait their turn.
         dead_band: of each actuator, fraction of the largest command.
         bend: how much less than proportional speeds are at full command.
-        slip: v and w lost, and sideways drift, in a curve: fractions a rad/s.
+        slip: v and w lost, and sideways drift, in a curve: fractions per rad/s.
         noise: of a command: relative, of each actuator; pose (m, rad) at its end.
-        camera: standard deviation of what the camera sees, m and rad.
+        camera: standard deviation of the camera's poses, m and rad.
     """
 
     names: tuple[str, ...] = ("left", "right")
@@ -347,6 +348,6 @@ def rows(robot: Robot, count: int, seed: int) -> Drives:
 
 
 def clean(robot: Robot, count: int, make: Callable = random_commands) -> Drives:
-    """Return rows to be judged by: what is to be expected, without noise."""
+    """Return rows to be judged by: the motion without noise."""
     rng = np.random.default_rng([999, 2])
     return robot.drive(make(robot, count, rng), 999, noisy=False)
