@@ -17,7 +17,7 @@ policy = torch.nn.Sequential(torch.nn.Linear(2, 16), torch.nn.Tanh(), torch.nn.L
 
 
 def distances(goals):
-    """Return how far from their goals [B, 2] (m) robots are in the end, [B] m."""
+    """Return the robots' final distances from their goals [B, 2] (m), [B] m."""
     state = simulator.start(torch.zeros(len(goals), 3))
     for _ in range(STEPS):
         x, y, theta = state[:, :3].unbind(1)

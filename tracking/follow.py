@@ -1,4 +1,4 @@
-"""One video, from its first frame to its last: where the markers were seen in each."""
+"""Tracks one video from its first frame to its last: the markers' places in each frame."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ class Track:
         quality: [N] 0 not found, up to 1.
         lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
         size: width and height of the video in pixels.
-        markers: as tracking.json has them. ``front`` and ``rear`` as found: name, rgb of the rim,
-            hue, chroma, confidence, and the reason where it is low; or
+        markers: as in tracking.json. ``front`` and ``rear`` as measured: name, rgb of the rim, hue,
+            chroma, confidence, and the reason if it is low; or
             ``tag``: its dictionary and id, and the ids of others that were seen.
-        undecided: frames in which several pairs could have been the lost one; none was taken.
-        missing: frames that the video should have after these, and has not: it was cut short.
+        undecided: number of frames in which several pairs could have been the lost one; all were
+            refused.
+        missing: number of frames that are missing at the video's end, because it was cut short.
     """
 
     frame: NDArray
@@ -63,9 +64,9 @@ class Track:
 
     @cached_property
     def doubtful(self) -> NDArray:
-        """[N] whether what was followed may be another pair than that of the first frames.
+        """[N] whether the pair may be another than that of the first frames.
 
-        A tag is itself.
+        A tag cannot be another.
         """
         if "tag" in self.markers:
             return np.zeros(len(self.time), bool)
@@ -86,7 +87,7 @@ def follow(
 
     Args:
         path: the video; one that was cut off is read as far as it goes.
-        what: to look for; None where there are clicks.
+        what: the colours or tag to look for; None with clicks.
         geometry: the known geometry of the pair.
         times: camera time [N] of the frames in seconds; without, the container's.
         overlay: write a video with the markers drawn over it here.

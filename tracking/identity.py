@@ -1,7 +1,7 @@
-"""Whether the pair that is seen after a loss is the one from before: what its motion can say.
+"""Decides by its motion whether the pair that is seen after a loss is the one from before.
 
 A twin of the robot, of the same colours, sizes and separation, can be distinguished from it by its
-place only: the robot goes on from where it was lost.
+place only: the robot continues from where it was lost.
 """
 
 from __future__ import annotations
@@ -9,20 +9,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: A pair within so many separations of where the robot was lost is the robot: two do not fit there.
+#: A pair within this many separations of the place of the loss is the robot: two do not fit there.
 STAYED = 1.0
-#: For so long (s) it may have driven on, at most FASTER times as fast as it was ever seen to drive,
-#: or at SLOW separations a second, whichever is more. After that it may be anywhere.
+#: Time (s) for which it may have driven on, at most FASTER times as fast as its fastest seen
+#: motion, or at SLOW separations per second, whichever is more. After that it may be anywhere.
 DROVE_FOR, FASTER, SLOW = 2.0, 2.0, 3.0
-#: Speeds are taken over this long, s: over single frames they are noise.
+#: Speeds are measured over this time, s: over single frames they are noise.
 _SPAN = 0.2
 
 
 def doubtful(time: NDArray, front: NDArray, rear: NDArray) -> NDArray:
-    """Return in which frames a pair may be another than in the first one in which it was found.
+    """Return the frames in which a pair may be another than in the first frame that shows it.
 
-    It is followed from frame to frame; where it was lost, and found again farther away than it
-    can have come, it may be another, until it is found where the last certain sight of it was.
+    It is followed from frame to frame. If it reappears after a loss farther away than it can drive,
+    it may be another, until it is seen at its last certain place.
 
     Args:
         time: [N] of the frames, s, increasing.
@@ -54,13 +54,13 @@ def doubtful(time: NDArray, front: NDArray, rear: NDArray) -> NDArray:
 
 
 def _reach(gap: ArrayLike, top: float) -> NDArray:
-    """Return how far a robot can have come, separations, in gaps of time, s, at a highest speed."""
+    """Return how far a robot can drive, in separations, in gaps of time, s, at a highest speed."""
     drove = FASTER * max(top, SLOW) * np.asarray(gap)
     return STAYED + np.where(np.asarray(gap) <= DROVE_FOR, drove, 0.0)
 
 
 def _speeds(when: NDArray, middle: NDArray) -> NDArray:
-    """Return how fast the pair was on the way to each place, separations a second."""
+    """Return the pair's speed towards each place, in separations per second."""
     since = np.maximum(np.searchsorted(when, when - _SPAN, side="right") - 1, 0)
     gap = np.maximum(when - when[since], _SPAN)
     return np.hypot(*(middle - middle[since]).T) / gap

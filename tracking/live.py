@@ -1,4 +1,4 @@
-"""Tracking frames as a camera delivers them, without ever making the camera wait."""
+"""Tracks frames as a camera delivers them, without making the camera wait."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tracking.markers.palette import SeenColour
 from tracking.markers.sought import Sought, tracker_of
 from tracking.markers.tag_tracker import TagTracker
 
-#: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
-#: of the robot is never older than these.
+#: Frames that may wait to be tracked; beyond it the oldest is skipped, so that the robot's pose is
+#: never older than these.
 WAITING = 2
 
 
@@ -48,15 +48,15 @@ class LiveTracker:
 
     Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
     thread: the same frames give the same sightings at the same moments. Others are tracked in a
-    thread of their own; frames it cannot keep up with are passed over, and counted.
-    Where a camera's time goes back, a video begins again, and tracking begins again with it.
+    thread of their own; frames that come too fast are skipped, and counted.
+    If a camera's time goes back, its video has begun again, and tracking begins again too.
 
     Args:
         what: it looks for.
         geometry: the known geometry of the pair.
         now: the clock for arrival times, in seconds.
         on_seen: called with every frame that was tracked, in the order of the frames.
-        waits: whether the camera waits for who takes its frames.
+        waits: whether the camera waits until its frames are taken.
     """
 
     def __init__(
@@ -87,11 +87,11 @@ class LiveTracker:
 
     @property
     def failed(self) -> bool:
-        """Whether something went wrong while tracking; :meth:`close` raises it."""
+        """Whether tracking failed; :meth:`close` raises the error."""
         return self._error is not None
 
     def look_for(self, what: Sought | None = None, geometry: Geometry | None = None) -> None:
-        """Start afresh: look for something else, with another geometry, or both."""
+        """Begin again with other colours or another tag, another geometry, or both."""
         with self._change:
             self._what = what or self._what
             self._geometry = geometry or self._geometry
@@ -112,7 +112,7 @@ class LiveTracker:
             self._change.notify()
 
     def close(self) -> None:
-        """Track what still waits and end; raise what went wrong while tracking, if anything did."""
+        """Track the waiting frames and end; raise the error of tracking, if there was one."""
         with self._change:
             self._ended = True
             self._change.notify()

@@ -14,7 +14,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import check_name
 from tracking.markers.pair import Sighting
 
-#: Frames for which the trail stays.
+#: Length of the trail, frames.
 TRAIL = 150
 
 _FOURCC = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "MJPG", ".avi": "MJPG"}
@@ -23,7 +23,7 @@ _BITS = 4
 
 
 def check_overlay(overlay: str | Path, video: Path) -> None:
-    """Refuse an overlay that cannot be written, or would replace the video it is made from.
+    """Refuse an overlay that cannot be written, or would replace its source video.
 
     Raises:
         UserError: if it is the video itself, or its ending is not .mp4, .mkv or .avi.

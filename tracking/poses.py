@@ -42,8 +42,8 @@ def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry
 def board_poses(seen: Track, markers: Mapping[str, Any], camera: CameraModel) -> NDArray:
     """Return poses [N, 3] of the middle of the axle from the two markers of every frame.
 
-    The rigid fit of two points: heading from the line between them, position so that the
-    squares of what is left over are least. NaN where the pair was not found.
+    The rigid fit of two points: heading from the line between them, position by least squares. NaN
+    where the pair was not found.
     """
     return marker_poses(seen.front, seen.rear, markers, camera)
 

@@ -24,13 +24,14 @@ from tracking.markers.tags import QUIET, Tag, kind_of
 
 #: Sheets of paper, width and height, m.
 PAPER = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794)}
-#: What the page is written as, by its suffix, with what would make it differ from day to day.
+#: Formats of the page by suffix, with the metadata that would differ from day to day.
 FORMATS = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-#: Around and between what is on the page, and for a line of text, m; printers need the margin.
+#: Space around and between the parts of the page, and for a line of text, m; printers need the
+#: margin.
 MARGIN, GAP, LINE = 0.010, 0.008, 0.005
-#: Of the black backing around a marker, as a fraction of its diameter: 1 cm around one of 6 cm.
+#: Width of the black backing around a marker, as a fraction of its diameter: 1 cm for 6 cm.
 BACKING = 1 / 6
-#: The line that says whether the printer kept the size, m.
+#: Length of the line that shows whether the printer kept the size, m.
 RULER = 0.100
 #: Rings of a marker, each lighter than the one around it.
 _RINGS = 48
@@ -120,18 +121,18 @@ def write_page(out: str | Path, settings: PageSettings | None = None) -> None:
     """Write the page, at its true size.
 
     Args:
-        out: a ``.pdf`` or ``.svg`` that is not there yet.
-        settings: what is on it.
+        out: a new ``.pdf`` or ``.svg``.
+        settings: its content.
 
     Raises:
-        UserError: if it is there, or has another suffix.
+        UserError: if the file exists, or has another suffix.
     """
     out = Path(out)
     if out.suffix.lower() not in FORMATS:
         raise UserError(f"{out}: a page is written as {' or '.join(FORMATS)}; name one of these")
     if out.exists():
         raise UserError(f"{out} exists already; name another file, or remove it yourself")
-    # The names of a picture's parts are drawn at random unless it is said what to draw them from.
+    # The names of a picture's parts are random unless a salt is given.
     with matplotlib.rc_context({"svg.hashsalt": "page"}), atomic_path(out) as partial:
         draw_page(settings or PageSettings()).savefig(
             partial, format=out.suffix.lower()[1:], metadata=FORMATS[out.suffix.lower()]
@@ -225,7 +226,7 @@ def _draw_tag(axes: Axes, middle: tuple[float, float], tag: Tag, settings: PageS
 
 
 def _rgb(colour: Colour) -> np.ndarray:
-    """Return red, green and blue, [3] of 1: as it was given, or full of its hue."""
+    """Return red, green and blue, [3] of 1: as given, or fully saturated."""
     if re.fullmatch("#[0-9a-f]{6}", colour.name):
         return np.array([int(colour.name[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     return np.array(colour.bgr[::-1]) / 255

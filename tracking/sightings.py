@@ -1,4 +1,4 @@
-"""The sightings of a recording: sightings.csv, and the frames that were passed over."""
+"""The sightings of a recording: sightings.csv, and the frames that were skipped."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from tracking.markers.tags import Tag
 from tracking.markers.tracker import Tracker
 from tracking.poses import marker_geometry
 
-#: Frames of a video that are looked at for the colours of a pair that was tracked live.
+#: Number of a video's frames that are searched for the colours of a pair that was tracked live.
 LOOKS = 5
 
 
 def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track | None:
     """Return the sightings of a session, one for every frame of its video.
 
-    Frames that the live tracker passed over are looked at in the video now, and only those.
+    Only frames that the live tracker skipped are tracked in the video now.
 
     Args:
         recording: with sightings.csv.
         session: its number.
-        camera: the calibration, for frames that were passed over.
+        camera: the calibration, for frames that were skipped.
 
     Returns:
         None if the session was not tracked while it was recorded.
@@ -86,12 +86,12 @@ def find_colours(
     """Find how a camera sees the colours of a pair of markers.
 
     Args:
-        frames: BGR [H, W, 3] uint8; a handful from anywhere in a video.
+        frames: BGR [H, W, 3] uint8; a few frames of a video.
         colours: of front and rear as they are named.
         geometry: the known geometry of the pair, if anything.
 
     Returns:
-        Front and rear; None where no such pair is in any of the frames.
+        Front and rear; None if none of the frames shows such a pair.
     """
     pairs = []
     for frame in frames:

@@ -1,4 +1,4 @@
-"""The command ``track``: a recording's video, or any video, to a pose per frame."""
+"""Tracks a recording's video, or any video: a pose for each frame."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from tracking.markers.tag_tracker import TagTracker, numbers_in
 from tracking.markers.tags import Tag
 from tracking.poses import board_poses, marker_geometry, unwrap
 
-#: A video is searched for tags so often, s.
+#: Time between the frames that are searched for tags, s.
 LOOK_FOR_TAGS_EVERY = 0.5
 
 
@@ -61,19 +61,20 @@ def track(
 
     Args:
         recording: its folder.
-        colours: of front and rear, if other than the markers say.
+        colours: of front and rear, if they differ from the markers' description.
         calibration: a calibration file or model; default the recording's calibration.json.
         overlay: write a video with the markers drawn over it here; with several sessions, the
             session's number is added to the name.
         videos: filmed with something else, of the sessions that have no video of their own, in
             order.
-        markers: what recording.json says under ``markers``, if other than it says; as
+        markers: replaces ``markers`` of recording.json; as
             :func:`tracking.datasets.recordings.read_markers` returns it.
-        partial: use a video that was cut short although its session ended as it should. (That
-            of a session that was killed is always used as far as it goes.)
-        live: what was seen while it was recorded, by session; the videos of these sessions are
-            not looked at again.
-        sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
+        partial: use a video that was cut short although its session ended as it should. (The video
+            of a killed session is always used up to its end.)
+        live: sightings of live tracking, by session; the videos of these sessions are not tracked
+            again.
+        sync: the signal that matches the camera's clock to the robot's: the lamp's ``flash``, or
+            ``motion``,
             the robot's answers to its commands. None: the lamp, if it was ever switched on.
         doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
@@ -193,18 +194,18 @@ def track_video(
 
     Args:
         path: the video.
-        what: to look for: colours of the front and the rear marker, or a tag; None with clicks.
+        what: colours of the front and the rear marker, or the tag to look for; None with clicks.
         out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality,
             doubtful, front_u, front_v, rear_u, rear_v) and tracking.json; None to write nothing.
-        markers: where they are on the robot, as recording.json says it: what their distance, size
-            and height are is then known; counts with a calibration over the board only.
+        markers: their places on the robot, as in recording.json, which give their distance, size
+            and height; used with a calibration over the board only.
         calibration: a calibration file or model.
-        height: of the markers above the board, in metres, by default what ``markers`` says, or 0;
-            counts with a calibration over the board only.
+        height: of the markers above the board, in metres, by default that of ``markers``, or 0;
+            used with a calibration over the board only.
         overlay: write a video with the markers drawn over it here.
         clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
         doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
-        partial: use a video that was cut short as far as it goes.
+        partial: use a video that was cut short, up to its end.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
@@ -317,7 +318,7 @@ def track_tags(
         for index, _, frame in video:
             if index % every == 0:
                 fresh = numbers_in(frame, any_one) - seen
-                # What the detector takes for a tag may be none: its pattern must fit.
+                # The detector may mistake other things for a tag: the pattern must fit.
                 seen |= {n for n in fresh if TagTracker(Tag(kind, n)).update(frame, 0.0).in_view}
             progress.advance()
     if not seen:
@@ -367,7 +368,7 @@ def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
 
 
 def _check_whole(path: str | Path, frames: int, missing: int) -> None:
-    """Refuse a video of which frames are missing at the end."""
+    """Refuse a video without its last frames."""
     if missing > 0:
         raise UserError(
             f"{path} ends after {frames} of {frames + missing} frames: it was cut short after it "
@@ -376,12 +377,12 @@ def _check_whole(path: str | Path, frames: int, missing: int) -> None:
 
 
 def _check_times(source: Recording, session: int, count: int) -> None:
-    """Refuse a frames.csv that has times of the first ``count`` of a session's frames only."""
+    """Refuse a frames.csv with times for only the first ``count`` frames of a session."""
     path, times = source.video(session), source.path / "frames.csv"
     if path is None or not times.exists():
         return
     with Video(path) as video:
-        # What a container claims may be a guess: there is one more only if it can be read.
+        # A container's number of frames may be a guess: there is one more only if it can be read.
         frames = video.frames
         if frames <= count or video.at(count) is None:
             return

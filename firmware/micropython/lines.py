@@ -1,6 +1,6 @@
 """The text-line protocol of neurosim, docs/lines.md, version 1, for MicroPython (and Python).
 
-Nothing here is to be changed for another robot: main.py says what the robot is and how it moves.
+Change nothing here for another robot: main.py describes the robot and moves it.
 """
 
 LONGEST = 60000  # of a command, ms
@@ -34,7 +34,7 @@ class Lines:
         self.say("0", "robot neurosim-lines 1 " + robot.name)
 
     def poll(self, data):
-        """Take what has come, if anything; to be called all the time: it also ends commands."""
+        """Read received bytes, or None; call it all the time, because it also ends commands."""
         self.expire()
         for byte in data or b"":
             if byte in b"\r\n":
@@ -81,7 +81,7 @@ class Lines:
             told = [self.now & 0xFFFFFFFF, left] + list(self.robot.values())
             answer = " ".join(["read"] + [str(value) for value in told])
         elif not star:
-            answer = "error checksum"  # what moves needs one
+            answer = "error checksum"  # requests that move the robot need one
         elif request == "drive":
             answer = answer if self.drive(rest) else "error numbers"
         elif request != "lamp" or rest not in (["0"], ["1"]) or not self.robot.lamp(rest == ["1"]):

@@ -25,7 +25,7 @@ class Wheel:
 
     def turn(self, percent):
         if percent:
-            self.way = 1 if percent > 0 else -1  # it goes on so while it coasts
+            self.way = 1 if percent > 0 else -1  # kept while the motor coasts
         self.forward.value(percent > 0)
         self.back.value(percent < 0)
         self.pwm.duty_u16(int(abs(percent) * 655.35))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 
-#: Name -> hue and how far a camera's idea of it may lie from there, in degrees.
+#: Name -> hue, and the largest deviation of it in a camera's picture, in degrees.
 NAMED = {
     "red": (0.0, 18.0),
     "orange": (24.0, 16.0),
@@ -31,10 +31,10 @@ NAMED = {
     "pink": (332.0, 26.0),
 }
 
-#: How far from an exactly given colour the hue may lie, in degrees.
+#: Largest deviation of the hue from an exactly given colour, in degrees.
 GIVEN_TOLERANCE = 25.0
 
-#: Factors of blue and of red where there is no colour cast to take out.
+#: Factors of blue and of red if there is no colour cast.
 NO_CAST = (1.0, 1.0)
 
 _WEIGHTS = np.array(  # columns B, G, R
@@ -44,7 +44,7 @@ _WEIGHTS = np.array(  # columns B, G, R
 
 @dataclass(frozen=True)
 class Colour:
-    """A marker's colour as the user says it; ``hue`` and ``tolerance`` in radians."""
+    """A marker's colour as the user gives it; ``hue`` and ``tolerance`` in radians."""
 
     name: str
     hue: float
@@ -108,7 +108,7 @@ def colour_pair(text: str) -> tuple[str, str]:
 def chroma_plane(image: NDArray, white: tuple[float, float] = NO_CAST) -> NDArray:
     """Return alpha and beta, float32 [2, ...], of BGR pixels [..., 3].
 
-    ``white``: factors of blue and of red that take a colour cast out first.
+    ``white``: factors of blue and of red that first remove a colour cast.
     """
     pixels = np.asarray(image, np.float32)
     rows = pixels.reshape(len(pixels) if pixels.ndim > 1 else 1, -1, 3)

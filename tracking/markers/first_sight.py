@@ -11,15 +11,15 @@ from tracking.markers.colours import Colour, angle_between
 from tracking.markers.markers import LEAST_CHROMA, Blob, Measurement
 from tracking.markers.pair import Geometry, angle_of
 
-#: How far the separation may be from what is known of it, with nothing learned yet.
+#: Largest deviation of the separation from its known value, before anything is learned.
 FIRST_SEPARATION_TOLERANCE = 0.12
-#: A marker is lighter than what it lies on by this much luma at least.
+#: A marker is lighter than its background by this much luma at least.
 LEAST_LIGHT = 5.0
-#: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
+#: A hue measured at full resolution may be this far beyond its colour's tolerance.
 HUE_MARGIN = math.radians(8.0)
-#: A click may miss a marker by so many pixels.
+#: A click may miss a marker by this many pixels.
 CLICK_REACH = 4.0
-#: Where nothing is known of the separation: sums of radii that two markers are apart, at most
+#: If the separation is unknown: its largest value, in sums of the two markers' radii
 #: on most robots, and on nearly all.
 CLOSE, REACH = 3.0, 4.0
 
@@ -30,7 +30,7 @@ def rate(
     geometry: Geometry,
     start: NDArray | None,
 ) -> float:
-    """Rate two patches as a pair never seen before; 0 for one that cannot be it.
+    """Rate two patches as a pair never seen before; 0 if they cannot be the pair.
 
     Args:
         pair: patches of the front's and of the rear's colour.
@@ -73,7 +73,7 @@ def rate(
 
 
 def on_marker(centre: NDArray, radius: float, click: NDArray) -> bool:
-    """Return whether a click is on a marker, or misses it by a little; pixels."""
+    """Return whether a click is on a marker, or close to it; pixels."""
     return math.dist(centre, click) < 1.5 * radius + CLICK_REACH
 
 

@@ -26,9 +26,9 @@ LEAST_CHROMA = 22.0
 LEAST_SATURATION = 0.22
 #: Hues (rad), and ratios of chroma to light, of the same paint in other light.
 SAME_HUE, SAME_SATURATION = math.radians(25.0), 2.0
-#: So many times the noise that is left is no noise; where more is left nothing is told from it.
+#: A signal is this many times the remaining noise; with more noise nothing is concluded.
 CLEAR_OF_NOISE, MOST_NOISE = 4.5, 12.0
-#: Fewer pixels of the reduced frame are noise; where it was smoothed chance makes larger patches.
+#: Fewer pixels of the reduced frame are noise; in a smoothed frame chance makes larger patches.
 LEAST_AREA, LEAST_SMOOTHED_AREA = 6, 28
 
 
@@ -86,7 +86,7 @@ class Look:
         return np.array([green + alpha - 0.5 * between, green, green - between])
 
     def lit(self, fraction: float) -> Look:
-        """Return this look in light that is a fraction of what it was."""
+        """Return this look in light that is a fraction of the light before."""
         return Look(
             self.direction, max(fraction * self.chroma, 1.0), max(fraction * self.light, 1.0)
         )
@@ -112,7 +112,7 @@ class Measurement:
         centre: in pixels [2].
         area: in pixels.
         look: just now.
-        other: where the centre may be instead, of light and not of colour; None where both agree.
+        other: another possible centre, by light and not by colour; None if both agree.
     """
 
     centre: NDArray
@@ -122,7 +122,7 @@ class Measurement:
 
 
 def shrink_factor(width: int) -> int:
-    """By how much a whole frame is reduced before it is searched."""
+    """The factor by which a whole frame is reduced before it is searched."""
     return max(1, width // 640)
 
 
@@ -131,7 +131,7 @@ class Picture:
 
     Args:
         frame: BGR [H, W, 3] uint8.
-        white: factors of blue and of red that take a colour cast out.
+        white: factors of blue and of red that remove a colour cast.
         factor: by how much it is reduced; default :func:`shrink_factor`.
     """
 
@@ -142,7 +142,7 @@ class Picture:
         size = (frame.shape[1] // self.factor, frame.shape[0] // self.factor)
         self.small = frame
         if self.factor > 2 and self.factor % 2 == 0:
-            # Halving is what OpenCV does fastest by far.
+            # OpenCV is by far fastest at halving.
             half = (frame.shape[1] // 2, frame.shape[0] // 2)
             self.small = cv2.resize(frame, half, interpolation=cv2.INTER_AREA)
         raw = cv2.resize(self.small, size, interpolation=cv2.INTER_AREA)
@@ -224,13 +224,13 @@ def measure(
         frame: BGR [H, W, 3].
         near: pixel [2] where it is expected.
         radius: expected, in pixels.
-        look: what it looks like.
-        margin: how far from ``near`` its centre may lie, in pixels.
-        white: factors of blue and of red that take a colour cast out.
+        look: its appearance.
+        margin: largest distance of its centre from ``near``, in pixels.
+        white: factors of blue and of red that remove a colour cast.
         passes: of smoothing, as :func:`tracking.markers.noise.passes_for` gives them.
 
     Returns:
-        None where there is nothing of that colour.
+        None if nothing of that colour is there.
     """
     direction = (float(look.direction[0]), float(look.direction[1]))
     seen = measure_marker(

@@ -1,4 +1,4 @@
-"""A camera's noise: how strong it is in colour, and how it is smoothed where it is strong."""
+"""A camera's noise: its strength in colour, and the smoothing of strong noise."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from tracking.markers.colours import chroma_plane
 
 #: Noise of the chroma (standard deviation, of 255) up to which nothing is smoothed.
 QUIET = 8.0
-#: What a whole picture is smoothed with where there is more: sd of a Gaussian, px.
+#: Smoothing of a whole picture with more noise: sd of a Gaussian, px.
 _SMOOTHING = 1.5
-#: A patch is smoothed so many times with the weights 1 2 1.
+#: Number of times that a patch is smoothed with the weights 1 2 1.
 _PASSES = 2
-#: Pixels so far apart share no noise: cameras have colour at half resolution.
+#: Pixels at this distance have independent noise: cameras have colour at half resolution.
 _APART = 4
-#: Pixels between two places looked at.
+#: Pixels between two measured places.
 _STEP = 3
 
 

@@ -1,4 +1,4 @@
-"""A pair of markers: its geometry, what is seen and learned of it, and how it moves."""
+"""A pair of markers: its geometry, its sightings, its learned properties, and its motion."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Geometry:
         return pixels if self.to_plane is None else self.to_plane(pixels)
 
     def separation_of(self, pixels: NDArray) -> float:
-        """Return how far apart front and rear, [2, 2] pixels, are in the plane."""
+        """Return the distance between front and rear, [2, 2] pixels, in the plane."""
         front, rear = self.plane(pixels)
         return math.hypot(front[0] - rear[0], front[1] - rear[1])
 
@@ -88,13 +88,13 @@ class Learned:
 
 
 def is_searched(lost: int) -> bool:
-    """Return whether the whole frame is searched after so many in which nothing was found."""
+    """Return whether the whole frame is searched after this many frames without the pair."""
     return lost < SEARCH_EVERY_FRAME or lost % SEARCH_CADENCE == 0
 
 
 @dataclass
 class Motion:
-    """Where the pair was last and how it moved, in pixels."""
+    """The pair's last place and its motion, in pixels."""
 
     time: float
     middle: NDArray
@@ -111,12 +111,12 @@ class Motion:
 
     @property
     def pixels(self) -> NDArray:
-        """Where front and rear were, [2, 2]."""
+        """The pixels of front and rear at that time, [2, 2]."""
         return np.array([self.middle + self.axis / 2, self.middle - self.axis / 2])
 
     def predict(self, time: float) -> NDArray:
         """Return where front and rear will be, [2, 2]."""
-        # A guess far ahead is worth nothing; the pair has more likely stopped.
+        # A prediction far ahead is useless; the pair has more likely stopped.
         ahead = min(time - self.time, 0.2)
         (u, v), (du, dv), (across, down) = (
             pair.tolist() for pair in (self.middle, self.velocity, self.axis)
@@ -138,10 +138,10 @@ class Motion:
 
 @dataclass
 class Strangers:
-    """Pairs that look like a lost one and are not it, because they were elsewhere when it was lost.
+    """Pairs that look like a lost one but were elsewhere when it was lost.
 
     Attributes:
-        reach: how far one comes between two looks, px.
+        reach: largest motion of a pair between two looks, px.
         places: of their middles, [2] each, px.
     """
 
@@ -153,7 +153,7 @@ class Strangers:
         return any(math.dist(place, known) < self.reach for known in self.places)
 
     def follow(self, seen: list[NDArray]) -> list[NDArray]:
-        """Follow them to the places of what was seen now, and return which of these are theirs."""
+        """Follow them to the places of the pairs seen now, and return their places."""
         left, theirs = list(range(len(seen))), []
         for i, known in enumerate(self.places):
             nearest = min(left, key=lambda k: math.dist(seen[k], known), default=None)
@@ -165,7 +165,7 @@ class Strangers:
 
 
 def lamp_luma(frame: NDArray, pixels: NDArray, place: tuple[float, float], rim: float) -> float:
-    """Return the mean luma around the lamp, between the markers' rims; NaN where there is no room.
+    """Return the mean luma around the lamp, between the markers' rims; NaN if there is no room.
 
     Args:
         frame: BGR [H, W, 3] uint8.

@@ -14,11 +14,12 @@ from tracking.markers.colours import Colour, angle_between
 from tracking.markers.markers import Look
 
 #: A marker with this much chroma (of 255), or in little light with this fraction of its brightest
-#: channel, cannot be taken for grey.
+#: channel, cannot be mistaken for grey.
 STRONG_CHROMA, STRONG_SATURATION = 60.0, 0.6
 #: Below this confidence a person should look.
 CONFIDENT = 0.6
-#: A pair that never moved may be a thing of the same colours, and has this confidence at most.
+#: A pair that never moved may be another object of the same colours, and has this confidence at
+#: most.
 STILL_CONFIDENCE = 0.5
 
 GREY = "it is close to grey"
@@ -33,13 +34,13 @@ class SeenColour:
     """A marker's colour as a camera sees it.
 
     Attributes:
-        colour: as it was named, with the hue that was found.
+        colour: the named colour, with its measured hue.
         chroma: of 255.
         rgb: the rim's colour, ``#rrggbb``, free of the picture's cast.
         confidence: 0..1: how far its chroma is from grey, times how much better than any other
             patch of its colour it fits the pair, times how well its hue fits the name, times how
             close the pair stands together; over pictures, the mean.
-        reason: what lowers the confidence most.
+        reason: the main cause of a low confidence.
     """
 
     colour: Colour
@@ -65,8 +66,8 @@ def seen_colour(colour: Colour, look: Look, rival: float, together: float = 1.0)
 
     Args:
         colour: as it was named.
-        look: of the marker that was taken for it.
-        rival: how well the next best patch would have done, as a fraction of this one.
+        look: of the marker of this colour.
+        rival: fit of the next best patch, as a fraction of this one's.
         together: how close the pair stands for its size, 0..1.
     """
     rgb = np.clip(np.round(look.rgb), 0, 255).astype(int)
@@ -95,7 +96,7 @@ def together(colours: Sequence[SeenColour | None]) -> SeenColour | None:
     hues = np.array([colour.colour.hue for colour in seen])
     hue = math.atan2(np.sin(hues).mean(), np.cos(hues).mean())
     middle = sorted(seen, key=lambda colour: colour.chroma)[len(seen) // 2]
-    # Hues that differ from picture to picture are of different things.
+    # Hues that differ from picture to picture are of different objects.
     agreement = float(np.hypot(np.sin(hues).mean(), np.cos(hues).mean()))
     confidence = sum(colour.confidence for colour in seen) / len(colours) * agreement
     reason = min(seen, key=lambda colour: colour.confidence).reason
@@ -148,7 +149,7 @@ def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def warning(markers: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """Return a warning about colours of low confidence; None where there are none."""
+    """Return a warning about colours of low confidence; None if there are none."""
     reasons: dict[str, list[str]] = {}
     for where, seen in markers.items():
         if seen.get("reason"):

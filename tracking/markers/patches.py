@@ -1,8 +1,7 @@
-"""Measuring one marker: the loops over the pixels around it, compiled.
+"""Compiled loops over the pixels around one marker, which measure it.
 
-Colour says where a marker is, how large it is and whether it is covered; light says where its
-centre is: see :mod:`tracking.markers.markers`. Places are (u, v) and,
-within a patch, from its corner.
+Colour gives a marker's place, its size and whether it is covered; light gives its exact centre: see
+:mod:`tracking.markers.markers`. Places are (u, v) and, within a patch, from its corner.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from numba import njit
 
 #: Chroma across the marker's hue that is tolerated, as a fraction of that along it: 34 degrees.
 ACROSS = 1.5
-#: The centre of light is sought until it moves by less (px), or so many times.
+#: The centre of light is computed until it moves by less (px), or this many times.
 SETTLED, ROUNDS = 0.002, 12
-#: In a smaller marker (px) a white dot is not told apart: video has colour at half resolution.
+#: In a smaller marker (px) no white dot can be seen: video has colour at half resolution.
 DOT_RADIUS = 4.0
 #: Light counts from this fraction of the marker's own on, for what is left of the backing; where
 #: there is no white dot edges are sharper, and what a camera's sharpening makes of them matters.
@@ -123,7 +122,7 @@ def _centroid(member, u, v, radius):
 
 @njit(cache=True, nogil=True)
 def _densest(member, u, v, radius, margin):
-    """Return where most of the colour is, what is near (u, v) counting for more; and how much."""
+    """Return the place with most of the colour, near (u, v) preferred; and its amount."""
     rows, columns = member.shape
     half = max(0, int(0.8 * radius))
     side = 2 * half + 1
@@ -150,7 +149,7 @@ def _densest(member, u, v, radius, margin):
 
 @njit(cache=True, nogil=True)
 def darkest(luma):
-    """Return the tenth percentile of luma: what the marker lies on."""
+    """Return the tenth percentile of luma: the marker's background."""
     counts = np.zeros(256, np.int64)
     for i in range(luma.shape[0]):
         for j in range(luma.shape[1]):
@@ -208,7 +207,7 @@ def _foreign(plane, member, u, v, chroma):
 
 @njit(cache=True, nogil=True)
 def _without_glare(member, luma, u, v, radius, backing):
-    """Return both levelled, and without what is much brighter than the colour at (u, v)."""
+    """Return both levelled, without pixels much brighter than the colour at (u, v)."""
     total = light = 0.0
     for i in range(luma.shape[0]):
         for j in range(luma.shape[1]):
@@ -319,7 +318,7 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
 
 @njit(cache=True, nogil=True)
 def read_look(plane, luma, u, v, radius, p, q, chroma, light, backing):
-    """Read a marker's look off a patch, given roughly what it is: direction, chroma, light."""
+    """Measure a marker's look in a patch, from a rough look: direction, chroma, light."""
     total = alpha = beta = lit = 0.0
     coloured = np.empty((luma.size, 2), np.float32)
     count = 0

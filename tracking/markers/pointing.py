@@ -1,4 +1,4 @@
-"""Pointing at a marker in a picture: a marker's colour."""
+"""Learns a marker's colour from a click in a picture."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from neurosim.base.errors import UserError
 from tracking.markers.colours import Colour, angle_between, chroma_plane, parse_colour
 from tracking.markers.markers import LEAST_CHROMA, Picture
 
-#: Where one clicks lies within this fraction of the picture's width of the colour that is meant.
+#: A click lies within this fraction of the picture's width of the marker's colour.
 REACH = 1 / 80
 #: Pixels this far in hue from the commonest one around a click are something else.
 SAME_HUE = math.radians(25)
-#: Hues nearer than this cannot be distinguished safely, light and camera being what they are.
+#: Hues nearer than this cannot be distinguished safely in usual light by usual cameras.
 APART = math.radians(40)
 
 
@@ -44,7 +44,7 @@ class Pointed:
 
 
 def colour_at(frame: NDArray, pixel: ArrayLike) -> Pointed:
-    """Learn the colour of what is at a pixel.
+    """Learn the colour of the object at a pixel.
 
     A marker may fade to white where it is clicked, and the click may miss a little: the
     commonest hue around it counts.
@@ -88,5 +88,5 @@ def colour_around(frame: NDArray, pixel: ArrayLike) -> tuple[Colour, float, floa
 
 
 def distinguishable(a: Colour, b: Colour) -> bool:
-    """Return whether two markers of these colours cannot be taken for each other."""
+    """Return whether two markers of these colours can be distinguished."""
     return abs(float(angle_between(a.hue, b.hue))) >= APART

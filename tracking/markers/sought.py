@@ -16,7 +16,7 @@ from tracking.markers.tracker import Tracker
 #: The colours of the front and the rear marker, or a tag.
 Sought = tuple[Colour, Colour] | Tag
 
-#: With what the ends of a tag are drawn, BGR.
+#: Colours in which the ends of a tag are drawn, BGR.
 _ENDS = (80, 220, 80), (60, 160, 240)
 
 
@@ -42,7 +42,7 @@ def tracker_of(
     """Return a new tracker.
 
     Args:
-        what: it looks for.
+        what: the colours or tag to look for.
         geometry: the known geometry of the pair of markers, or of a tag's ends.
         start: of two colours: see :class:`tracking.markers.tracker.Tracker`.
     """

@@ -1,4 +1,4 @@
-"""A survey of a whole picture, now and then: is there another pair that would fit as well?"""
+"""Searches whole pictures, now and then, for another pair that would fit as well."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from tracking.markers.markers import Blob, Look, Picture, shrink_factor
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import SeenColour, seen_colour, together
 
-#: The picture is looked at with so many pixels across.
+#: Width of the searched picture, pixels.
 ACROSS = 320
-#: After the first sight, the second look comes so many frames on, every other after twice as many.
+#: Frames between the first look and the second; the interval then doubles each time.
 SECOND_LOOK = 64
 
 
@@ -34,7 +34,7 @@ class Survey:
         self._colours, self._geometry, self._pointed = colours, geometry, pointed
         self._frames, self._next = 0, 1
         self._looked: list[tuple[SeenColour, SeenColour]] = []
-        #: What all looks say together; None before the first.
+        #: The result of all looks together; None before the first.
         self.seen_colours: tuple[SeenColour, SeenColour] | None = None
 
     def take(
@@ -49,10 +49,10 @@ class Survey:
 
         Args:
             frame: BGR [H, W, 3] uint8.
-            white: factors of blue and of red that take the picture's cast out.
+            white: factors of blue and of red that remove the picture's cast.
             pixels: [2, 2] of front and rear.
             areas: of the two markers, pixels.
-            looks: what they look like.
+            looks: their appearance.
         """
         self._frames += 1
         if self._frames < self._next:
@@ -90,9 +90,9 @@ class Survey:
         radii: Sequence[float],
         factor: int,
     ) -> tuple[float, float] | None:
-        """Return how the best pair with another front, and with another rear, compares to this.
+        """Return the fits of the best pairs with another front or rear, relative to this one.
 
-        None where this one is too small, or too much like its surroundings, to be compared in a
+        None if this one is too small, or too much like its surroundings, to be compared in a
         picture that is reduced by this factor.
         """
         picture = Picture(frame, white, factor)

@@ -21,19 +21,19 @@ from tracking.markers.tags import QUIET, Tag
 _TEXELS = 8
 #: Blur of a picture by pixels and lens together, px (standard deviation).
 _BLUR = 0.5
-#: Of the white around the square so much counts, in cells: what is next to it blurs into the rest.
+#: Width of the white around the square that counts, in cells: its neighbours blur into the rest.
 _RIM = 0.6
-#: A tag whose side has more pixels is looked at in a smaller picture.
+#: A tag whose side has more pixels is fitted in a smaller picture.
 MOST_PIXELS = 56.0
 _STEPS = 8
 #: A pixel this far from the pattern (times the median, and as a fraction of white less black) is of
 #: something that covers it; and where something does, one that is nearer.
 _FAR, _NEAR = (5.0, 0.25), (3.0, 0.15)
-#: Of a tag that nothing covers so many pixels count, and they correlate so well with its pattern.
+#: An uncovered tag has at least this fraction of counting pixels, and this correlation.
 _WHOLE = 0.95
-#: How often the fit is repeated with what is left, at most.
+#: Largest number of repetitions of the fit with the remaining pixels.
 _ROUNDS = 6
-#: White is lighter than black by so many grey levels at least.
+#: White is lighter than black by this many grey levels at least.
 _LEAST_CONTRAST = 8.0
 #: A step smaller than this (px) is the last one.
 _ENOUGH = 0.003
@@ -41,7 +41,7 @@ _ENOUGH = 0.003
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a tag is: u = centre + axes x, x in sides of the black square from its middle.
+    """A tag's place: u = centre + axes x, x in sides of the black square from its middle.
 
     Attributes:
         centre: px [2].
@@ -76,12 +76,12 @@ _SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def fit(grey: NDArray, tag: Tag, guess: Placed) -> Placed | None:
-    """Return where a tag is, from a guess that is off by a cell or less; None where it leaves.
+    """Return a tag's place, from a guess that is off by a cell or less; None if the fit fails.
 
     Args:
         grey: the picture [H, W] uint8.
-        tag: which.
-        guess: where about it is.
+        tag: the tag to fit.
+        guess: its approximate place.
     """
     factor = math.ceil(guess.side / MOST_PIXELS)
     cells = len(tag.cells)
@@ -135,7 +135,7 @@ def _steps(
 ) -> tuple[Placed, float, float] | None:
     """Return where the pattern fits pixels [2, N] of levels [N], with white less black, and black.
 
-    None where it does not: the size departs too far, or black is not darker than white.
+    None if it does not: the size changes too much, or black is not darker than white.
     """
     centre, axes = start.centre, start.axes
     for _ in range(_STEPS):
@@ -167,7 +167,7 @@ def _steps(
 
 
 def _blur_level(cell: float) -> int:
-    """Return the blur of the pattern, in sixths of octaves, for cells of so many pixels."""
+    """Return the blur of the pattern, in sixths of octaves, for cells of this many pixels."""
     return round(6 * math.log2(_BLUR * _TEXELS / cell))
 
 

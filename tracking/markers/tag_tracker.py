@@ -23,15 +23,15 @@ from tracking.markers.pair import (
 from tracking.markers.tag_fit import Placed, fit
 from tracking.markers.tags import Tag
 
-#: Correlation with the pattern from which on a tag is believed, and fraction of it that must show.
+#: Least correlation of a tag with the pattern, and the fraction of it that must be visible.
 LEAST_LIKENESS, LEAST_SEEN = 0.8, 0.75
-#: After so long without a frame (s) its number is read again: another may be in its place.
+#: After this time without a frame (s) its number is read again, because another tag may be there.
 FOLLOWED_FOR = 0.5
-#: Sides that are still believed, as a fraction of what is known, or was learned.
+#: Largest deviation of a plausible side, as a fraction of the known or learned side.
 SIDE_TOLERANCE = 0.08
-#: A tag is searched in a picture in which its side has about so many pixels, or all there are.
+#: A tag is searched in a picture in which its side has about this many pixels, or in the whole one.
 SEARCH_SIDE = 36.0
-#: Pictures are enlarged for the search by this at most, and are of so many pixels then.
+#: Largest enlargement of pictures for the search, and largest number of their pixels.
 MOST_ENLARGED, MOST_PIXELS = 3, 2_500_000
 
 
@@ -42,7 +42,7 @@ class TagTracker:
     points, as two markers are. Front is the upper edge, as the tag is printed.
 
     Args:
-        tag: which.
+        tag: the tag to track.
         geometry: the known geometry of the pair; its separation is the side of the black square.
     """
 
@@ -56,7 +56,7 @@ class TagTracker:
         self._lost = 0
         #: Numbers of other tags of the dictionary that were seen while this one was searched.
         self.others: set[int] = set()
-        #: Frames in which there were several of this tag, and none was taken.
+        #: Frames with several copies of this tag, which were refused.
         self.undecided = 0
         #: Whether the tag was ever found.
         self.ever_seen = False
@@ -92,7 +92,7 @@ class TagTracker:
         return Sighting(*pixels, quality, lamp_luma(frame, pixels, self.geometry.lamp, 0.0))
 
     def _follow(self, frame: NDArray, time: float) -> Placed | None:
-        """Return the tag near where it was, turned as it turned; None where it is not there."""
+        """Return the tag near its predicted place and heading; None if it is not there."""
         before = self._motion.pixels
         ahead = self._motion.predict(time)
         turn = angle_of(ahead[0] - ahead[1]) - angle_of(before[0] - before[1])
@@ -106,7 +106,7 @@ class TagTracker:
         return seen[0] if len(seen) == 1 else None
 
     def _search(self, frame: NDArray) -> Placed | None:
-        """Return the tag wherever it is in a frame; None where it is not, or there are several."""
+        """Return the tag anywhere in a frame; None if it is not in view, or several times."""
         part = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.zeros(2, int)
         for factor in self._enlargements(part[0]):
             seen = self._detect(*part, factor)
@@ -116,7 +116,7 @@ class TagTracker:
         return None
 
     def _enlargements(self, grey: NDArray) -> Iterator[int]:
-        """Yield by how much a picture is to be enlarged for a search, one after the other."""
+        """Yield the enlargements of a picture for a search, one after the other."""
         most = _most_enlarged(grey)
         middle = (np.array(grey.shape[::-1]) - 1) / 2
         if self._side is None:
@@ -148,7 +148,7 @@ class TagTracker:
         return placed if self._quality(placed, self._ends(placed)) > 0 else None
 
     def _quality(self, placed: Placed, pixels: NDArray) -> float:
-        """Rate a tag, 1 as expected; 0 where its size is not to be believed."""
+        """Rate a tag, 1 as expected; 0 if its size is impossible."""
         off = 0.0
         if self._side is not None:
             off = self.geometry.separation_of(pixels) / self._side - 1.0
@@ -159,7 +159,7 @@ class TagTracker:
     def _ends(self, placed: Placed) -> NDArray:
         """Return the middles of the front and the rear edge, [2, 2] px, of the best square.
 
-        In the plane in which its sides are equal, both axes of the tag say how it is turned.
+        In the plane in which its sides are equal, both axes of the tag give its heading.
         """
         steps = placed.centre + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
         zero, right, down = self.geometry.plane(steps)
@@ -204,12 +204,12 @@ def _most_enlarged(grey: NDArray) -> int:
 
 
 def _enlargement(side: float) -> int:
-    """Return by how much a picture is enlarged to search a tag whose side has so many pixels."""
+    """Return the enlargement of a picture to search for a tag whose side has this many pixels."""
     return max(1, math.ceil(SEARCH_SIDE / max(side, 1.0)))
 
 
 def _grey_around(frame: NDArray, placed: Placed, margin: float) -> tuple[NDArray, NDArray]:
-    """Return the part of a frame around a tag, grey, and where it begins (px).
+    """Return the part of a frame around a tag, grey, and its origin (px).
 
     Args:
         frame: BGR [H, W, 3] uint8.

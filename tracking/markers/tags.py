@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 
-#: What a person may call a dictionary, and its name in OpenCV.
+#: Short names of dictionaries, and their names in OpenCV.
 KINDS = {"apriltag": "APRILTAG_36h11", "aruco": "4X4_50"}
 #: The number of a tag unless another one is given.
 DEFAULT_ID = 0
@@ -70,7 +70,7 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
     """Return a dictionary by its name in OpenCV, without ``DICT_``; upper and lower case alike.
 
     Raises:
-        UserError: if there is none of this name.
+        UserError: if no dictionary has this name.
     """
     known = kind_of(name)
     if known is None:

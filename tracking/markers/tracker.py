@@ -43,37 +43,37 @@ from tracking.markers.palette import SeenColour
 from tracking.markers.survey import Survey
 from tracking.markers.white import Cast, cast_of
 
-#: Marker areas and separations that are still believed, as ratios to what is expected.
+#: Plausible marker areas and separations, as ratios to the expected ones.
 AREA_RATIO = (0.70, 1.45)
 SEPARATION_TOLERANCE = 0.08
 #: The first time, with nothing learned yet.
 FIRST_AREA_RATIO = (0.4, 2.2)
 
-#: A pair that fits worse than this is as likely something else, and not written.
+#: A pair that fits worse than this may be another object, and is not written.
 LEAST_QUALITY = 0.05
 
-#: How far the pair may be found from where it was lost: separations, and separations a second.
+#: Largest distance of the pair from the place of its loss: separations, and separations per second.
 REACH, REACH_PER_SECOND = 1.0, 12.0
-#: How far it may have turned: radians, and radians a second.
+#: Largest turn since then: radians, and radians per second.
 TURN, TURN_PER_SECOND = 0.7, 8.0
 #: After this many seconds it may be anywhere: a hand may have moved it.
 FORGET_AFTER = 2.0
 
-#: What fits elsewhere so soon after the pair was lost (s) is another pair.
+#: A pair that fits elsewhere within this time after a loss (s) is another pair.
 ELSEWHERE_WITHIN = 0.3
 
 #: The image's scale is worked out again after the pair moved by this many pixels.
 SCALE_REACH = 4.0
-#: The cast is looked at every so many frames.
+#: Number of frames between two measurements of the cast.
 CAST_CADENCE = 8
-#: A picture has a cast worth trying to take out from this factor on.
+#: Smallest factor of a cast that is worth removing.
 CAST_TRIED = 1.06
 
-#: The light has changed from one picture to the next where its level did by this factor.
+#: The light has changed between two pictures if its level has changed by this factor.
 LIGHT_CHANGED = 1.1
 
 #: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
-#: many is forgotten, and the whole is begun again.
+#: many is forgotten, and tracking begins again.
 PASSING, DROP_AFTER = 15, 8
 
 #: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
@@ -86,8 +86,8 @@ class Tracker:
     Args:
         front, rear: the markers' colours.
         geometry: the known geometry of the pair.
-        start: pixels [2, 2] of a point on front and on rear in the first frame. Another pair is
-            never taken: where the first frame has none there, none is found.
+        start: pixels [2, 2] of a point on front and on rear in the first frame. No other pair is
+            tracked: without a pair there in the first frame, no frame has one.
     """
 
     def __init__(
@@ -115,20 +115,20 @@ class Tracker:
         self._lost = 0
         self._seen = [False, False]
         self._strangers = Strangers()
-        #: Frames in which several pairs could have been the lost one, and none was taken.
+        #: Frames in which several pairs could have been the lost one, and all were refused.
         self.undecided = 0
-        #: Frames before what is followed now was begun with; what was found in them was not it.
+        #: Frames before the pair that is followed now; pairs found in them were others.
         self.begun = 0
         self._home: NDArray | None = None
 
     @property
     def seen(self) -> tuple[bool, bool]:
-        """Whether anything of the front's and of the rear's colour was ever found."""
+        """Whether patches of the front's and of the rear's colour were ever found."""
         return self._seen[0], self._seen[1]
 
     @property
     def looks(self) -> list[Look] | None:
-        """How front and rear look to this camera, once they were found."""
+        """The looks of front and rear in this camera, once they were found."""
         return None if self._learned is None else list(self._learned.looks)
 
     @property
@@ -178,8 +178,8 @@ class Tracker:
     def _follow_light(self, frame: NDArray, most: float = 1.0) -> bool:
         """Follow cast and level of the picture's light; return whether the level has changed.
 
-        Up to ``most`` times the light in which the pair was learned: what was bright then may have
-        all the light that a pixel can have, and lose its colour in more.
+        Up to ``most`` times the light in which the pair was learned: pixels that were bright then
+        may be saturated in more light, and lose their colour.
         """
         self._cast.update(frame)
         fraction = self._cast.level / self._light
@@ -191,7 +191,7 @@ class Tracker:
     def _follow_in_other_light(
         self, frame: NDArray, time: float
     ) -> tuple[list[Measurement], float] | None:
-        """Follow the pair into a picture whose light is not as it was."""
+        """Follow the pair into a picture whose light has changed."""
         if self._follow_light(frame) and (pair := self._follow(frame, time)) is not None:
             return pair
         looks, light = self._learned.looks, self._light
@@ -201,7 +201,7 @@ class Tracker:
         return None
 
     def _is_doubtful(self) -> bool:
-        """Return whether the pair may have been two things that passed each other."""
+        """Return whether the pair may have been two objects that passed each other."""
         known = self.geometry.separation is not None or self._start is not None
         return not known and self._learned.frames < PASSING
 
@@ -216,13 +216,13 @@ class Tracker:
     def _follow(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
         expected = self._motion.predict(time)
         radius = self._radii(middle_of(expected))
-        # How much a robot can depart from constant velocity between two frames.
+        # The largest departure of a robot from constant velocity between two frames.
         late = max(1.0, 30.0 * (time - self._motion.time))
         margins = [(2.0 + 0.6 * r) * min(late, 4.0) for r in radius]
         return self._measure(frame, expected, margins)
 
     def _keep_home(self, pixels: NDArray) -> None:
-        """Keep where the robot was lost, if what is found now is somewhere else."""
+        """Keep the place where the robot was lost, if the pair found now is elsewhere."""
         if self._home is None and self._motion is not None:
             lost = self._motion.pixels
             self._home = lost if self._are_apart(lost, pixels) else None
@@ -279,7 +279,7 @@ class Tracker:
         return self._fitting(measured)
 
     def _fitting(self, measured: list[Measurement]) -> list[Measurement]:
-        """Where a centre is in doubt, take those whose separation is as it should be."""
+        """If a centre is in doubt, choose the centres with the right separation."""
         if all(m.other is None for m in measured):
             return measured
         options = [[m] if m.other is None else [m, replace(m, centre=m.other)] for m in measured]
@@ -291,7 +291,7 @@ class Tracker:
         return list(min(itertools.product(*options), key=misfit))
 
     def _quality(self, measured: list[Measurement]) -> float:
-        """Rate a pair, 1 as expected; 0 where a size or the separation is not to be believed."""
+        """Rate a pair, 1 as expected; 0 if a size or the separation is impossible."""
         pixels = np.array([m.centre for m in measured])
         fresh = self._learned.frames < 5
         low, high = FIRST_AREA_RATIO if fresh else AREA_RATIO
@@ -310,7 +310,7 @@ class Tracker:
         return math.exp(-0.5 * misfit)
 
     def _remember(self, measured: list[Measurement], pixels: NDArray, quality: float) -> None:
-        """Let what was learned follow slowly: light, lens and perspective vary over the board."""
+        """Update the learned properties slowly: light, lens and perspective vary over the board."""
         learned = self._learned
         learned.frames += 1
         # The first frames count fully, so that one odd first sight does not last.
@@ -339,7 +339,7 @@ class Tracker:
         return self._scale[2]
 
     def _separation(self, pixels: NDArray) -> float:
-        """Return the pair's separation in the plane; asked for twice of every frame."""
+        """Return the pair's separation in the plane; needed twice for every frame."""
         pair = pixels.tobytes()
         if self._apart is None or self._apart[0] != pair:
             self._apart = pair, self.geometry.separation_of(pixels)
@@ -356,7 +356,7 @@ class Tracker:
             pixels = np.array([m.centre for m in pair[0]])
             (own if self._reachable(pixels, time) else others).append((middle_of(pixels), pair))
         if time - self._motion.time < ELSEWHERE_WITHIN:
-            # The robot cannot be there yet: this is another, and stays another as it moves.
+            # The robot cannot be there yet: this is another pair, also when it moves.
             known = [place for place, _ in others if not self._strangers.near(place)]
             self._strangers.places += known
         strangers = self._strangers.follow([place for place, _ in own + others])
@@ -374,7 +374,7 @@ class Tracker:
         picture = Picture(frame, self._cast.white)
         margin = 1.5 * picture.factor + 1.0
         fitting: list[tuple[list[Measurement], float]] = []
-        # The light may have changed while the pair was away: then the named colours must do.
+        # The light may have changed while the pair was away: then the named colours are used.
         kinds = [self._learned.looks, self.colours]
         for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
             blobs = [picture.blobs(colour) for colour in colours]
@@ -395,7 +395,7 @@ class Tracker:
             return None
         rated = []
         whites = [NO_CAST, cast_of(frame)]
-        # Where the picture has a cast, the names may mean the colours with it or without.
+        # In a picture with a cast, the names may mean the colours with it or without.
         for white in whites[
             : 1 + (max(abs(math.log(f)) for f in whites[1]) > math.log(CAST_TRIED))
         ]:
@@ -423,7 +423,7 @@ class Tracker:
             )
             measured = self._measure_each(frame, pixels, margins)
             if measured is not None:
-                # Once more with what the first look at full resolution taught.
+                # Again, with the looks learned at full resolution.
                 pixels = np.array([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 refined = self._measure(frame, pixels, margins)

@@ -1,8 +1,8 @@
 """A camera's colour cast and the level of the light: guessed from one picture, and followed.
 
-A camera that balances its whites by itself, or a lamp that is switched on, turns all colours
-alike. The change of most of the picture between two frames is taken for such a turn, and removed
-before a marker's hue is compared: a robot or a hand is a small part of the picture.
+A camera that balances its whites by itself, or a lamp that is switched on, changes all colours
+alike. The change of most of the picture between two frames is assumed to be such a change, and
+removed before a marker's hue is compared: a robot or a hand is a small part of the picture.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from numpy.typing import NDArray
 
 from tracking.markers.colours import NO_CAST
 
-#: Pixels looked at along the picture's width.
+#: Pixels that are examined along the picture's width.
 _ACROSS = 48
 #: Darker than this a ratio of channels is mostly noise, brighter than this a channel is clipped.
 _DARK, _CLIPPED = 24, 250
-#: The level of the light is taken from pixels at least so bright in the first picture.
+#: The level of the light is measured at pixels at least this bright in the first picture.
 _LIT = 40
 #: A picture with less light than this, as a fraction of that of the first, is of a covered lens.
 _COVERED = 0.05
 #: Fewer usable pixels say nothing.
 _LEAST = 60
-#: A cast is believed up to this factor.
+#: Largest plausible factor of a cast.
 _MOST = 2.0
 
 
 def cast_of(frame: NDArray) -> tuple[float, float]:
-    """Guess the cast of one picture: most of what is bright in it is taken to be grey.
+    """Guess the cast of one picture: most bright pixels are assumed to be grey.
 
     Args:
         frame: BGR [H, W, 3] uint8.
 
     Returns:
-        Factors of blue and of red that take it out; 1 and 1 where there is too little light.
+        Factors of blue and of red that remove it; 1 and 1 if there is too little light.
     """
     grid = _grid(frame)
     usable = (grid.min(axis=1) > 2 * _DARK) & (grid.max(axis=1) < _CLIPPED)
@@ -48,7 +48,7 @@ class Cast:
     """Follows the cast from a first picture on; for a camera that stands still."""
 
     def __init__(self, frame: NDArray, base: tuple[float, float] = NO_CAST):
-        """Begin with a picture and the factors that take its cast out."""
+        """Begin with a picture and the factors that remove its cast."""
         self._reference = _grid(frame)
         self._base = base
         self.white = base
@@ -69,7 +69,7 @@ class Cast:
 
 @njit(cache=True, nogil=True)
 def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
-    """Return how many pixels say something, and the medians of what green gained on the others."""
+    """Return the number of usable pixels, and the median gains of green over the others."""
     gained = np.empty((2, len(grid)), np.float32)
     count = 0
     for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
@@ -86,7 +86,7 @@ def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
 
 @njit(cache=True, nogil=True)
 def _dimmed(grid: NDArray, before: NDArray) -> tuple[int, float]:
-    """Return how many pixels are lit, and the median ratio of their light to that before."""
+    """Return the number of lit pixels, and the median ratio of their light to that before."""
     fractions = np.empty(len(grid), np.float32)
     count = 0
     for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)

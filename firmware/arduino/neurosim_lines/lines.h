@@ -1,5 +1,5 @@
-// The text-line protocol of neurosim, docs/lines.md, version 1. Nothing here is to be changed for
-// another robot: the sketch says what the robot is and how it moves.
+// The text-line protocol of neurosim, docs/lines.md, version 1. Change nothing here for
+// another robot: the sketch describes the robot and moves it.
 #pragma once
 #include <Arduino.h>
 #include <errno.h>
@@ -20,7 +20,7 @@ extern const uint8_t COMMANDS_COUNT;
 void move(const float *command);           // begin a command
 void halt();                               // stop
 void values(Print &out);                   // print " " and a whole number for each value of read
-bool lamp(bool on);                        // false: there is none
+bool lamp(bool on);                        // false: the robot has no lamp
 
 class Lines : public Print {
  public:
@@ -33,7 +33,7 @@ class Lines : public Print {
     end();
   }
 
-  void poll() {  // to be called from loop() all the time: it also ends commands
+  void poll() {  // call it from loop() all the time: it also ends commands
     expire();
     while (port.available()) {
       take(port.read());
@@ -41,7 +41,7 @@ class Lines : public Print {
     }
   }
 
-  size_t write(uint8_t byte) override {  // all that is said goes through here
+  size_t write(uint8_t byte) override {  // all output goes through here
     sum = added(sum, byte);
     return port.write(byte);
   }
@@ -64,7 +64,7 @@ class Lines : public Print {
     return sum;
   }
 
-  void end() {  // ends what is said with its checksum
+  void end() {  // ends a line with its checksum
     char digits[8];
     uint16_t found = sum;
     snprintf(digits, sizeof digits, "*%04X\n", found);
@@ -148,7 +148,7 @@ class Lines : public Print {
       values(*this);
       end();
     } else if (!star) {
-      refuse("checksum");  // what moves needs one
+      refuse("checksum");  // requests that move the robot need one
     } else if (!strcmp(word, "drive")) {
       drive();
     } else if (!strcmp(word, "lamp")) {

@@ -1,6 +1,6 @@
 // A robot on two wheels that speaks neurosim's lines (docs/lines.md): a TB6612 or L298N motor
-// driver, wheel encoders on two interrupt pins, two light sensors that look down. Change what is
-// above the line to your robot; on an ESP32 the port may be a BluetoothSerial or a WiFiClient.
+// driver, wheel encoders on two interrupt pins, two light sensors that look down. Change the part
+// above the line for your robot; on an ESP32 the port may be a BluetoothSerial or a WiFiClient.
 #include "lines.h"
 
 const int LEFT_PWM = 5, LEFT_FORWARD = 7, LEFT_BACK = 8;
@@ -30,7 +30,7 @@ void countLeft() { counts[0] += direction[0]; }
 void countRight() { counts[1] += direction[1]; }
 
 void wheel(int side, int pwm, int forward, int back, float percent) {
-  if (percent != 0) direction[side] = percent > 0 ? 1 : -1;  // it goes on so while it coasts
+  if (percent != 0) direction[side] = percent > 0 ? 1 : -1;  // kept while the motor coasts
   digitalWrite(forward, percent > 0);
   digitalWrite(back, percent < 0);
   analogWrite(pwm, (int)(fabs(percent) * 2.55f + 0.5f));
