@@ -137,7 +137,7 @@ def mean(call, repeats: int) -> float:
 
 
 def ratios(rows: list[dict], count: int) -> dict[str, float]:
-    """Return how much faster environments are than others, at so many robots."""
+    """Return how much faster environments are than others, at this many robots."""
     rates = {one["name"]: one["steps_per_second"] for one in rows if one["robots"] == count}
     best = [one["steps_per_second"] for one in rows if one["name"].startswith("MuJoCo")]
     results = {}
@@ -178,7 +178,7 @@ class WheelsInMuJoCo(gymnasium.Env):
 
 
 def asynchronous(count: int, repeats: int) -> float | None:
-    """Return robot steps per second of MuJoCo behind so many processes."""
+    """Return robot steps per second of MuJoCo behind this many processes."""
     try:
         import mujoco  # noqa: F401
     except ImportError:

@@ -442,7 +442,7 @@ def _kept_checkpoints() -> Iterator[None]:
 
 
 def _write_inputs(folder: Path) -> None:
-    """Write what does not come from a command: logs, samples, an arena, a task, markers."""
+    """Write the inputs that no command makes: logs, samples, an arena, a task, markers."""
     import numpy as np
 
     from neurosim.base import se2

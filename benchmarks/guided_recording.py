@@ -122,7 +122,7 @@ class Robot:
         return se2.between(start + noise[0], self.pose + noise[1])
 
     def record(self, commands: list[Command]) -> TrainingData:
-        """Return what was driven to its end, as a dataset of a recording has it."""
+        """Return the commands that were driven to their end, as rows of a recording's dataset."""
         before = (0.0, 0.0)
         rows, moved, within = [], [], []
         self.drive((*before, 0.5))

@@ -45,10 +45,10 @@ _FINE = 3
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a clip shows.
+    """The content of a clip.
 
     Attributes:
-        name, says: in a word, and for people.
+        name, says: its name, and a description for people.
         shape: of the markers: "dot" fades to white, "plain" and "square" do not.
         speed: of the wheels at most, m/s.
         exposure: of a frame, s.

@@ -130,7 +130,7 @@ def _log(name: str) -> tuple[logs.Robot, TrainingData]:
 def of_log(name: str, count: int, seed: int) -> dict[str, list]:
     """Return the fractions [3, L] of held-out windows that lie within the intervals of LEVELS.
 
-    There are none if the log has fewer rows.
+    The result is empty if the log has fewer rows.
     """
     robot, data = _log(name)
     if len(data.x) < count:

@@ -239,7 +239,7 @@ def instants(durations: Array, rng: np.random.Generator) -> Array:
 def seen(
     commands: Array, times: Array, starts: Array, poses: Array, camera: tuple[float, float], rng
 ) -> Drives:
-    """Return what the camera sees of poses [N, 3] and [N, LOOKS, 3] on the floor."""
+    """Return the camera's view of poses [N, 3] and [N, LOOKS, 3] on the floor."""
     noise = rng.standard_normal(poses.shape) * np.array([camera[0], camera[0], camera[1]])
     # A command begins at the frame with which the one before it ended.
     starts = starts + np.vstack([np.zeros_like(starts[:1]), noise[:-1, -1]])

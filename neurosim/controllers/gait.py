@@ -70,7 +70,7 @@ GAIT_PARAMETERS = (
     GaitParameter("turn", -0.6, 0.6, "rad/s"),
     GaitParameter("ground_speed", 0.05, 0.4, "m/s"),
     GaitParameter("lift_time", 0.02, 0.2, "s"),
-    GaitParameter("ground_share", 0.4, 0.75),
+    GaitParameter("ground_fraction", 0.4, 0.75),
     GaitParameter("air_points", 1.0, 12.0),
 )
 NAMES = tuple(one.name for one in GAIT_PARAMETERS)
@@ -106,7 +106,7 @@ HAND_TUNED = {
     "turn": 0.0,
     "ground_speed": 0.14,
     "lift_time": 0.06,
-    "ground_share": 0.55,
+    "ground_fraction": 0.55,
     "air_points": 6.0,
 }
 
@@ -170,7 +170,7 @@ def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
         fraction of the cycle, 0 to 1, and the cycle, s. The last point is the first one again.
     """
     value = dict(zip(NAMES, values_of(np.asarray(genes, np.float64)).tolist(), strict=True))
-    ground = value["ground_share"]
+    ground = value["ground_fraction"]
     cycle = float(np.clip(value["length"] / value["ground_speed"] / ground, *CYCLE))
     lifting = min(value["lift_time"] / cycle, 0.4 * (1.0 - ground))
     air = 1.0 - ground - 2.0 * lifting

@@ -152,8 +152,8 @@ def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
     if "ratio" in reach and "ratio_first" in reach:
         note += (
             f" Straight commands that were completed reach {reach['ratio']:.1%} as far (speed "
-            "times duration, on average) as those that were drawn; without sending again what "
-            f"was cut it would be {reach['ratio_first']:.1%}."
+            "times duration, on average) as those that were sampled; without sending cut commands "
+            f"again it would be {reach['ratio_first']:.1%}."
         )
     head = ["sent", "cut", "completed", "fraction cut"]
     tables: list[Block] = [

@@ -31,7 +31,7 @@ async function follow() {
         remember();
       }
       after = state.number;
-      if (drawing.number !== state.drawn) drawing = await (await fetch("drawing")).json();
+      if (drawing.number !== state.drawing) drawing = await (await fetch("drawing")).json();
       draw();
       tell();
       if (state.ended) return;

@@ -96,7 +96,7 @@ class Viewer:
             place = Place(board=Board(board["length"], board["width"], line_width=0.0))
         on = board if place.board is None else asdict(place.board)
         self._board = {"length": float(on["length"]), "width": float(on["width"])}
-        self._sketch, self._drawn = Sketch(place), 1
+        self._sketch, self._drawing_number = Sketch(place), 1
         self._height: float | None = None
         self._corners: dict[str, tuple[float, float]] = {}
         self._pointed: dict[str, Pointed] = {}
@@ -199,7 +199,7 @@ class Viewer:
             "calibrated": self._camera is not None,
             "lens": self._lens is not None,
             "grid": self._grid(),
-            "drawn": self._drawn,
+            "drawing": self._drawing_number,
             "files": {what: str(path) for what, path in self._files.items()},
             "saved": sorted(self._saved),
         }
@@ -253,8 +253,8 @@ class Viewer:
         """Return the place for the page's drawing.
 
         Returns:
-            ``number``: ``drawn`` in the state of the same moment; ``free``, ``solid``: lines, each
-            a list of pairs of pixels; ``clicks``: pairs, those on the part that is not finished.
+            ``number``: ``drawing`` of the state at the same moment; ``free``, ``solid``: lines,
+            each a list of pairs of pixels; ``clicks``: pairs, those on the unfinished part.
         """
         with self._change:
             place, clicks = self._sketch.place, self._sketch.points
@@ -265,7 +265,7 @@ class Viewer:
             if place.start is not None:
                 free.append(_arrow(*place.start))
             return {
-                "number": self._drawn,
+                "number": self._drawing_number,
                 "free": self._pixels(free),
                 "solid": self._pixels(solid),
                 "clicks": [pixel for [pixel] in self._pixels([[click] for click in clicks])],
@@ -334,7 +334,7 @@ class Viewer:
             self._board = {"length": length, "width": width}
             self._height = height
             self._sketch.set_board(length, width)
-            self._drawn += 1
+            self._drawing_number += 1
         return self._find_camera()
 
     def draw(self, part: str, u: float, v: float, width: float) -> str:
@@ -357,7 +357,7 @@ class Viewer:
             return self._sketched(self._sketch.undo())
 
     def _sketched(self, message: str) -> str:
-        self._drawn += 1
+        self._drawing_number += 1
         self._saved.discard("place")
         return message
 
@@ -438,7 +438,7 @@ class Viewer:
     def _start_afresh(self) -> None:
         with self._change:
             self._seen_at = None
-            self._drawn += 1
+            self._drawing_number += 1
             what, camera = self._what, self._camera
         if self._look_for is not None:
             self._look_for(what, camera)

@@ -441,7 +441,7 @@ def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(
 
 @pytest.mark.parametrize("cut", [20, 40, 55, 70])
 def test_an_interruption_changes_nothing_where_noisy_trials_are_tracked(tmp_path, cut):
-    """What is confirmed after L3 is in the file when L3 is run again."""
+    """Trials that confirm gaits after L3 are in the file when L3 is run again."""
     block = TrackedBlock(2.0, 0.2)
 
     def noisy(genes, number):

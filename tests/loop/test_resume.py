@@ -98,7 +98,7 @@ def run(case, out, **others):
 
 @pytest.fixture
 def interrupting(monkeypatch):
-    """Return what makes Ctrl-C come in the middle of the n-th generation from now on."""
+    """Return a function that raises Ctrl-C in the middle of the n-th generation from now on."""
     generation = Search.generation
 
     def at(number):

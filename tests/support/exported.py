@@ -51,7 +51,7 @@ def random_plans(simulator: MotionNetwork, count, steps=8, seed=0, like=0.3):
 
 
 def drive(step, state, commands, noise=None, parts=1):
-    """Return poses [B, T, 3] after each of the commands [B, T, C], cut into so many steps.
+    """Return poses [B, T, 3] after each of the commands [B, T, C], cut into this many steps.
 
     Args:
         step: (state, command, noise) -> state.

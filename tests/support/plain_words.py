@@ -47,6 +47,7 @@ NOT_IN_DOCSTRINGS = re.compile(
             r"(?<!there )\b(is|are) none\b",
             r"(^|(?<=[.:;] ))What (?![^.?!]*\?)",  # name the noun
             r"^(Return|Give|Write) what\b",
+            r"\bso many\b(?! that)|\bgone on with\b",  # this many, continued
         )
     )
 )
@@ -58,6 +59,6 @@ NOT_IN_NAMES = {
 }  # fmt: skip
 #: Names that have one all the same: an idiom, the protocol's own words, drawings.
 NAMES = {
-    "_drawn", "_under_way", "drawn", "Drawn", "FILE_NOT_FOUND", "MODULE_NOT_FOUND", "MOST_DRAWN",
-    "NOT_FOUND", "ground_share", "share", "fractions_of", "under_way", "_not_found",
+    "_under_way", "drawn", "Drawn", "FILE_NOT_FOUND", "MODULE_NOT_FOUND", "MOST_DRAWN", "NOT_FOUND",
+    "share", "fractions_of", "under_way", "_not_found",
 }  # fmt: skip

@@ -538,7 +538,7 @@ def test_the_cutting_report():
     ]
     assert report["equal_reach"] == {
         "unit": "% s",
-        "drawn": 60.0,
+        "sampled": 60.0,
         "completed_first": 20.0,
         "completed": 60.0,
         "ratio_first": pytest.approx(1 / 3),

@@ -70,8 +70,8 @@ def test_a_floor_is_learned_of_what_it_does(ahead):
     true, known = at(floor, points), at(fit.floor, points)
     assert np.corrcoef(true, known)[0, 1] > 0.85
     # Ensemble members span the remaining uncertainty: the truth is among them.
-    drawn = torch.stack([at(fit.floor, points, 1 + m) for m in range(200)])
-    below = (drawn < true).double().mean(0)
+    sampled = torch.stack([at(fit.floor, points, 1 + m) for m in range(200)])
+    below = (sampled < true).double().mean(0)
     assert 0.7 < ((below > 0.05) & (below < 0.95)).double().mean() <= 1.0
     # The floor predicts other rows better, without the noise of its own rows.
     other, far, _ = rows(200, 2)

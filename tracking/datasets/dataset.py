@@ -459,7 +459,7 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
     Returns:
         ``by_class`` (random, equal, stop) and ``by_duration``: how many were sent, cut and
         completed; ``equal_reach``: mean |speed| x duration of the commands with equal speeds
-        that were drawn, completed at the first attempt, and completed at any; ``ratio`` is the
+        that were sampled, completed at the first attempt, and completed at any; ``ratio`` is the
         last over the first: 1 where cutting has taken nothing away; ``ratio_first`` is what it
         would be if nothing were sent again.
     """
@@ -482,7 +482,7 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
         ],
         "equal_reach": {
             "unit": "% s",
-            "drawn": figure,
+            "sampled": figure,
             "completed_first": completed_first,
             "completed": completed,
             "ratio_first": completed_first / figure if figure and completed_first else None,

@@ -119,8 +119,8 @@ def fit_floor(
                 best = one
     if best is None:
         return None
-    drawn = torch.randn(members, len(best.sd), generator=generator, dtype=torch.float64)
-    weights = torch.cat([best.weights[None], best.weights + best.sd * drawn]) @ best.basis.T
+    normals = torch.randn(members, len(best.sd), generator=generator, dtype=torch.float64)
+    weights = torch.cat([best.weights[None], best.weights + best.sd * normals]) @ best.basis.T
     where = best.floor
     weights = weights.unflatten(1, where.weights.shape[1:])
     unseen = torch.zeros(every, dtype=torch.float64)
