@@ -12,6 +12,7 @@ import neurosim as ns
 from neurosim.envs import TaskVectorEnv
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.registry import read_simulator, write_simulator
+from tracking.datasets.dataset import Dataset
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "reference"
 
@@ -103,8 +104,14 @@ def test_controllers_are_judged_and_evolved(device, build, tmp_path):
     [("combined", {"members": 2}), ("ga", {"generations": 3, "population": 20})],
 )
 def test_simulators_are_trained(device, trainer, settings, tmp_path):
+    Dataset.read(DATA).part(slice(0, 300)).write(tmp_path / "data")
     simulator = ns.train(
-        DATA, tmp_path / "simulator", trainer=trainer, device=device, progress=False, **settings
+        tmp_path / "data",
+        tmp_path / "simulator",
+        trainer=trainer,
+        device=device,
+        progress=False,
+        **settings,
     )
     pose = torch.zeros(1, 3, dtype=torch.float64, device=simulator.device)
     command = torch.tensor([[30.0, 20.0, 1.0]], dtype=torch.float64, device=simulator.device)

@@ -5,16 +5,14 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_pipeline import neurosim
 from click.testing import CliRunner
-from patience import PATIENCE, ended_by, wait_until
+from patience import PATIENCE, wait_until
+from processes import ended_by, neurosim, started
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.cli._stages import MAKES, Made, experiment_of
@@ -154,10 +152,7 @@ def test_ctrl_c_ends_all_that_run_at_once(tmp_path):
     file = tmp_path / "sweep.toml"
     text = SWEEP.replace("DATA", str(ROOT / "data" / "reference"))
     file.write_text(text.replace("generations = 1\npopulation = 10\nruns", "runs"))
-    words = [sys.executable, "-m", "neurosim", "pipeline", str(file), "--at-once", "2"]
-    process = subprocess.Popen(
-        words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    process = started("pipeline", file, "--at-once", "2", session=True)
     begun = [tmp_path / "sweep" / f"seed={seed}" / "evolve.checkpoint" for seed in (0, 1)]
     wait_until(lambda: all((one / "checkpoint.json").exists() for one in begun), "both evolutions")
     process.send_signal(signal.SIGINT)  # to this process alone, which has to end the others

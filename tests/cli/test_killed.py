@@ -5,12 +5,11 @@ import importlib.util
 import json
 import os
 import signal
-import subprocess
-import sys
+import time
 
 import numpy as np
 import pytest
-from patience import PATIENCE
+from processes import finished, started
 
 from neurosim.controllers import FixedPlan, SavedController
 from neurosim.lab import VirtualRig
@@ -25,68 +24,19 @@ pytestmark = [
 #: How often each command is killed.
 KILLS = int(os.environ.get("NEUROSIM_KILLS", "4"))
 
-#: Runs commands, each in a process of its own that has imported everything already.
-ZYGOTE = """
-import json, os, signal, sys, time, traceback
-from neurosim.cli.main import main
-import neurosim.back_to_reality.run, neurosim.trials.trial
-import neurosim.recording.record, neurosim.sampling, neurosim.lab
-for line in sys.stdin:
-    asked = json.loads(line)
+
+def run(folder, *words, after=None):
+    """Run a command in a folder, killed after some seconds; return exit code and seconds."""
+    folder.mkdir(exist_ok=True, parents=True)
+    child = started(*words, cwd=folder)
     begun = time.monotonic()
-    child = os.fork()
-    if child == 0:
-        os.chdir(asked["cwd"])
-        log = os.open("log.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(log, 1), os.dup2(log, 2)
-        sys.argv = ["neurosim", *asked["words"]]
-        code = 70
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        except BaseException:
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush(), sys.stderr.flush()
-            os._exit(code)
-    if asked["after"] is not None:
-        time.sleep(asked["after"])
-        os.kill(child, signal.SIGKILL)
-    _, status = os.waitpid(child, 0)
-    code = os.waitstatus_to_exitcode(status)
-    print(json.dumps([code, time.monotonic() - begun]), flush=True)
-"""
-
-
-class Zygote:
-    def __init__(self):
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", ZYGOTE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-
-    def run(self, folder, *words, after=None):
-        """Run a command in a folder, killed after some seconds; return exit code and seconds."""
-        folder.mkdir(exist_ok=True, parents=True)
-        asked = {"cwd": str(folder), "words": [str(word) for word in words], "after": after}
-        self._process.stdin.write(json.dumps(asked) + "\n")
-        self._process.stdin.flush()
-        code, seconds = json.loads(self._process.stdout.readline())
-        if code not in (0, -signal.SIGKILL):
-            raise AssertionError((words, code, (folder / "log.txt").read_text()))
-        return code, seconds
-
-    def close(self):
-        self._process.kill()
-        self._process.communicate(timeout=PATIENCE)
-
-
-@pytest.fixture(scope="module")
-def zygote():
-    made = Zygote()
-    yield made
-    made.close()
+    if after is not None:
+        time.sleep(after)
+        child.kill()
+    done = finished(child)
+    if done.returncode not in (0, -signal.SIGKILL):
+        raise AssertionError((words, done.returncode, done.stderr))
+    return done.returncode, time.monotonic() - begun
 
 
 @pytest.fixture(scope="module")
@@ -107,13 +57,12 @@ def whole_lines(folder, name):
     return []
 
 
-def killed(zygote, tmp_path, words, logs, rest_of, seed):
+def killed(tmp_path, words, logs, rest_of, seed):
     """Kill a command at random moments, continue each, and compare its logs with a whole run's.
 
     The rows written before a kill are the first rows of the whole run, and are kept.
 
     Args:
-        zygote: runs commands.
         tmp_path: a folder for each run.
         words: the command, up to its output folder.
         logs: names of files that only grow.
@@ -126,20 +75,20 @@ def killed(zygote, tmp_path, words, logs, rest_of, seed):
         The folders of the whole run and of one that was killed, and after how long it was, s.
     """
     whole = tmp_path / "whole"
-    _, seconds = zygote.run(whole, *words, "out")
+    _, seconds = run(whole, *words, "out")
     rests = []
     for number, after in enumerate(np.random.default_rng(seed).uniform(0.0, seconds, KILLS)):
         folder = tmp_path / str(number)
-        code, _ = zygote.run(folder, *words, "out", after=after)
+        code, _ = run(folder, *words, "out", after=after)
         if code == 0:
             continue
         then = {name: whole_lines(folder, name) for name in logs}
         rests.append(rest_of(folder / "out"))
         if rests[-1]:
-            zygote.run(folder, *words, *rests[-1])
+            run(folder, *words, *rests[-1])
         for name, lines in then.items():
-            for run in (whole, folder):
-                assert whole_lines(run, name)[: len(lines)] == lines, (run, name, after)
+            for one in (whole, folder):
+                assert whole_lines(one, name)[: len(lines)] == lines, (one, name, after)
         yield whole, folder, after
     assert any(rest and rest != ["out"] for rest in rests) or KILLS < 4
 
@@ -159,9 +108,9 @@ def sent(recording):
     return results
 
 
-def test_a_recording(zygote, calibration, tmp_path):
-    words = ["record", "--commands", 14, "--seed", 3, "--camera-size", "320x240"]
-    words += ["--calibration", calibration]
+def test_a_recording(calibration, tmp_path):
+    words = ["record", "--commands", 8, "--seed", 3, "--camera-size", "320x240"]
+    words += ["--durations", "0.5..1.5", "--calibration", calibration]
 
     def rest_of(out):
         made = Recording(out) if out.exists() else None
@@ -170,7 +119,7 @@ def test_a_recording(zygote, calibration, tmp_path):
         return resumed(made)
 
     logs = ("commands.csv", "frames.csv", "sightings.csv")
-    for whole, folder, after in killed(zygote, tmp_path, words, logs, rest_of, 0):
+    for whole, folder, after in killed(tmp_path, words, logs, rest_of, 0):
         recording = Recording(folder / "out")
         assert recording.meta["complete"] is True
         assert sent(recording) == sent(Recording(whole / "out")), after
@@ -178,7 +127,8 @@ def test_a_recording(zygote, calibration, tmp_path):
             assert whole_lines(folder, "commands.csv") == whole_lines(whole, "commands.csv")
         assert recording.is_tracked, after
         # For each session in which a command was sent.
-        sessions = {line.session for line in recording.commands().itertuples() if line.is_motor}
+        lines = recording.commands().itertuples()
+        sessions = {line.session for line in lines if line.kind == "command"}
         assert set(recording.poses().session) == sessions, after
 
 
@@ -187,12 +137,10 @@ def rows(path, *names):
         return [tuple(row[name] for name in names) for row in csv.DictReader(file)]
 
 
-def test_sampling(zygote, tmp_path):
-    words = ["sample", "--angles", 12, "--distances", 3, "--grid", 3]
+def test_sampling(tmp_path):
+    words = ["sample", "--angles", 12, "--distances", 2, "--grid", 3]
     logs = {"motors.csv", "held_out.csv", "reaction.csv", "sensors.csv"}
-    for whole, folder, after in killed(
-        zygote, tmp_path, words, logs, lambda out: resumed(out.exists()), 1
-    ):
+    for whole, folder, after in killed(tmp_path, words, logs, lambda out: resumed(out.exists()), 1):
         runs = whole / "out", folder / "out"
         assert {path.name for path in runs[0].glob("*.csv")} == logs
         settings = [rows(run / "motors.csv", "left", "right") for run in runs]
@@ -209,7 +157,7 @@ def test_sampling(zygote, tmp_path):
         assert sizes[0] == sizes[1], after
 
 
-def test_a_trial(zygote, calibration, tmp_path):
+def test_a_trial(calibration, tmp_path):
     plan = FixedPlan(((40.0, 40.0, 2.0), (40.0, -40.0, 0.5), (40.0, 40.0, 2.0), (-30.0, 30.0, 1.0)))
     task = {"name": "nine-rectangles", "settings": {}}
     poses = np.zeros((5, 3)).tolist()
@@ -223,9 +171,7 @@ def test_a_trial(zygote, calibration, tmp_path):
         return {name: content[name] for name in ("commands", "start", "actual", "errors")}
 
     # A trial cannot be continued: it is repeated in another folder, with the same result.
-    for whole, folder, after in killed(
-        zygote, tmp_path, words, ["commands.csv"], lambda out: ["again"], 2
-    ):
+    for whole, folder, after in killed(tmp_path, words, ["commands.csv"], lambda out: ["again"], 2):
         wanted = report(whole / "out")
         assert report(folder / "again") == wanted, after
         if (folder / "out" / "trial.json").exists():  # whole, or not there
@@ -235,10 +181,10 @@ def test_a_trial(zygote, calibration, tmp_path):
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("mujoco"), reason="needs mujoco")
-def test_back_to_reality(zygote, tmp_path):
-    sizes = {"settings": "paper", "cycles": 2, "seconds": 1, "generations": 3, "seed": 5}
-    sizes |= {"search-population": 6, "candidates": 3, "adapt-generations": 3, "trials": 2}
-    sizes |= {"adapt-population": 4, "policy-steps": 2, "policies": 3}
+def test_back_to_reality(tmp_path):
+    sizes = {"settings": "paper", "cycles": 2, "seconds": 1, "generations": 2, "seed": 5}
+    sizes |= {"search-population": 6, "candidates": 2, "adapt-generations": 2, "trials": 1}
+    sizes |= {"adapt-population": 4, "policy-steps": 1, "policies": 2}
     words = ["back-to-reality"]
     words += [word for name, size in sizes.items() for word in (f"--{name}", size)]
 
@@ -249,9 +195,7 @@ def test_back_to_reality(zygote, tmp_path):
         content = json.loads((folder / "out" / "back-to-reality.json").read_text())
         return {name: value for name, value in content.items() if name not in VOLATILE}
 
-    for whole, folder, after in killed(
-        zygote, tmp_path, [*words, "-o"], ["trials.jsonl"], rest_of, 3
-    ):
+    for whole, folder, after in killed(tmp_path, [*words, "-o"], ["trials.jsonl"], rest_of, 3):
         assert whole_lines(folder, "trials.jsonl") == whole_lines(whole, "trials.jsonl"), after
         assert result(folder) == result(whole), after
         assert not (folder / "out.checkpoint").exists()

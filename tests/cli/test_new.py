@@ -7,6 +7,7 @@ import sys
 
 import pytest
 from click.testing import CliRunner
+from processes import neurosim
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import cli
@@ -69,17 +70,15 @@ def test_its_own_test_passes(made, kind):
 @pytest.mark.slow
 def test_the_robot_is_tried_at_once(made):
     name = NAMES["robot"]
-    words = ["-m", "neurosim", "--plugin", f"{name}/driver.py", "check-robot", "--robot", name]
-    code, message, error = run(made, *words, "--json")
-    assert code == 0, error
-    content = {one["what"]: one["verdict"] for one in json.loads(message)["findings"]}
+    plugin = ["--plugin", f"{name}/driver.py"]
+    done = neurosim(*plugin, "check-robot", "--robot", name, "--json", cwd=made)
+    content = {one["what"]: one["verdict"] for one in json.loads(done.stdout)["findings"]}
     assert content.pop("battery") == "unknown"
     assert set(content.values()) == {"good"}
     assert "self-stopping" in content
     recorded = ["--commands", "2", "--durations", "0.2..0.3", "--camera", "none"]
-    words[4:] = ["record", "recording", "--robot", name, *recorded, "--at-line", "ignore"]
-    code, _, error = run(made, *words)
-    assert code == 0, error
+    words = ["record", "recording", "--robot", name, *recorded, "--at-line", "ignore"]
+    neurosim(*plugin, *words, cwd=made)
     assert "v,omega" in (made / "recording" / "commands.csv").read_text()
 
 
@@ -87,14 +86,13 @@ def test_the_robot_is_tried_at_once(made):
 def test_task_simulator_and_controller_are_evolved_at_once(made):
     task, simulator, controller = (NAMES[kind] for kind in ("task", "simulator", "controller"))
     plugins = [f"{task}/task.py", f"{simulator}/simulator.py", f"{controller}/controller.py"]
-    words = ["-m", "neurosim", *(word for path in plugins for word in ("--plugin", path))]
+    words = [word for path in plugins for word in ("--plugin", path)]
     words += ["evolve", simulator, "--generations", "3", "--runs", "1"]
     for name, others in [
         ("plan", ["--task", task, "--metres", "0.2"]),
         ("seeks", ["--task", "go-to", "--controller", controller]),
     ]:
-        code, _, error = run(made, *words, *others, "-o", name)
-        assert code == 0, error
+        neurosim(*words, *others, "-o", name, cwd=made)
         assert json.loads((made / name / "controller.json").read_text())["predicted"]
 
 

@@ -6,8 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from cli_pipeline import neurosim
-from patience import ended_by
+from processes import ended_by, neurosim
 
 from neurosim.lab import read_truth
 from neurosim.lab.nxt.params import BOARD

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from khepera_data import made_up
 from patience import PATIENCE, wait_until
+from processes import started
 
 from neurosim.base.files import write_csv, write_json
 from neurosim.cli.main import cli, main, run_plugin
@@ -225,19 +226,13 @@ def test_markers_that_the_virtual_robot_does_not_carry(refused):
 def test_a_closed_terminal_stops_the_motors(tmp_path, name):
     """A robot that runs in real time in this process, recorded by another process."""
     import signal
-    import subprocess
 
     from neurosim.lab import Pacer
 
     with VirtualRig(0, camera=False, device="pty", real_time=True) as rig, Pacer(rig.lab):
         words = ["record", "r", "--robot", "nxt", "--filename", rig.address["filename"]]
         words += ["--camera", "none", "--stopped", "0", "--durations", "2..3", "--commands", "20"]
-        child = subprocess.Popen(
-            [sys.executable, "-m", "neurosim", *words],
-            cwd=tmp_path,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        child = started(*words, cwd=tmp_path)
         log = tmp_path / "r" / "commands.csv"
         wait_until(lambda: log.exists() and ",command," in log.read_text(), "a command")
         wait_until(lambda: turned(rig) != (0, 0), "the robot's first turn of a wheel")

@@ -25,11 +25,13 @@ LARGEST = 300_000
 #: Shorter searches, which the tests run.
 SHORTER = {
     "nxt_planner": {
-        "members=4, seed=1": "members=2, seed=1",
-        '"generations": 800, "runs": 10': '"generations": 100, "runs": 2',
-        "RobustSettings(generations=150)": "RobustSettings(generations=5)",
-        "range(1, 6)": "range(1, 3)",
-        "range(5)": "range(2)",
+        "rows.split(0.7)": "rows.split(0.9)",
+        "members=4, seed=1": "members=2, seed=1, centres=20, most_parts=4000",
+        "RecordSettings(40)": "RecordSettings(20)",
+        '"generations": 800, "runs": 10': '"generations": 50, "runs": 2',
+        "RobustSettings(generations=150)": "RobustSettings(generations=2)",
+        "range(1, 6)": "range(1, 2)",
+        "range(5)": "range(1)",
     },
     "back_to_reality": {
         "simulated = Simulated(LeggedSimulator(), Walking(seconds=4.0), gait)": (
@@ -41,6 +43,7 @@ SHORTER = {
         ),
         "adapt_generations=6": "adapt_generations=3",
         "confirm=3,\n    trials=3,": "confirm=2,\n    trials=1,",
+        "np.tile(hand, (5, 1))": "np.tile(hand, (2, 1))",
         "np.tile(genes, (10, 1))": "np.tile(genes, (2, 1))",
     },
     "closed_loop": {
@@ -51,6 +54,13 @@ SHORTER = {
         "progress=False, generations=30": "progress=False, generations=5",
         "standard_normal((20, 3))": "standard_normal((2, 3))",
         "range(4)": "range(1)",
+        "step=0.2, seconds=16": "step=0.2, seconds=6",
+        "step=0.2, seconds=30": "step=0.2, seconds=6",
+    },
+    "khepera_tables": {
+        "distances=8, step=0.005, grid=5": "distances=5, step=0.005, grid=3, duration=0.5",
+        "generations=60": "generations=5",
+        "range(1, 61)": "range(1, 6)",
     },
     "own_robot": {
         "range(200)": "range(60)",

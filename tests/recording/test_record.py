@@ -5,13 +5,11 @@ import json
 import math
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE
+from processes import finished, process
 
 from neurosim.base import files
 from neurosim.base.commands import TWO_WHEELS
@@ -384,7 +382,7 @@ def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path, monkeyp
             folder=str(folder),
             calibration=str(calibration),
         )
-        done = subprocess.run([sys.executable, "-c", script], timeout=PATIENCE)
+        done = finished(process(script))
         if done.returncode == 0:
             break
         assert done.returncode == -signal.SIGKILL

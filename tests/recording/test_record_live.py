@@ -4,14 +4,13 @@ import itertools
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from patience import PATIENCE, ended_by, wait_until
+from patience import PATIENCE, wait_until
+from processes import ended_by, started
 
 from neurosim.base.errors import UserError
 from neurosim.lab import VirtualRig, read_truth
@@ -298,20 +297,10 @@ def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
 LONG = ("--calibration", "c.json", "--camera-size", "320x240", "--commands", "100000")
 
 
-def neurosim(*words, cwd):
-    return subprocess.Popen(
-        [sys.executable, "-m", "neurosim", *map(str, words)],
-        cwd=cwd,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
 @pytest.mark.slow
 def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
     shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")
-    child = neurosim("record", "r", "--watch", *LONG, cwd=tmp_path)
+    child = started("record", "r", "--watch", *LONG, cwd=tmp_path)
     try:
         line = child.stderr.readline()
         assert line.startswith("Watch at http://127.0.0.1:")

@@ -34,7 +34,8 @@ class Brick:
     def __init__(self, params, wiring):
         ports = dict(zip(("left", "right"), ("ABC".index(each) for each in wiring), strict=True))
         lamp = next(port for port in range(3) if port not in ports.values())
-        self.lab = Lab(0, params=params, camera=None, wiring=Wiring(**ports, lamp=lamp))
+        wires = Wiring(**ports, lamp=lamp)
+        self.lab = Lab(0, params=params, camera=None, wiring=wires, truth_rate=0.0)
         self.lamp = "ABC"[lamp]
         self.brick = VirtualBrick(self.lab.body, lock=self.lab.lock)
 

@@ -3,12 +3,12 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
 import pytest
 from patience import PATIENCE, wait_until
+from processes import finished, process, started
 
 from neurosim.lab import (
     VirtualKheperaRig,
@@ -27,18 +27,14 @@ pytestmark = [
 
 #: Seconds of the lab after which a robot that still drives counts as never stopped.
 FOR_EVER = 60.0
-#: Straight on for 3 s, again and again.
+#: Straight on for 1 s, again and again.
 WORDS = ["record", "r", "--camera", "none", "--commands", "100", "--at-line", "ignore"]
-WORDS += ["--straight", "1", "--stopped", "0", "--durations", "3..3", "--max-speed", "20"]
+WORDS += ["--straight", "1", "--stopped", "0", "--durations", "1..1", "--max-speed", "20"]
 
 
 @contextmanager
 def recording(folder, *robot):
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", *WORDS, *robot],
-        cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        start_new_session=True,
-    )  # fmt: skip
+    child = started(*WORDS, *robot, cwd=folder, stdout=subprocess.DEVNULL, session=True)
     try:
         yield child
     finally:
@@ -142,13 +138,15 @@ def test_the_next_program_stops_what_an_earlier_one_left_running():
             f"robot = NXT(filename={robot[-1]!r})\n"
             "robot.connect(); robot.drive((20, 20)); os.kill(os.getpid(), signal.SIGKILL)"
         )
-        subprocess.run([sys.executable, "-c", driving], timeout=PATIENCE)
+        finished(process(driving))
         time.sleep(0.2)
         assert drives()  # drive() lasts until the next command
         waiting = (
             "from neurosim.robots.nxt.driver import NXT\n"
             f"robot = NXT(filename={robot[-1]!r}); robot.connect(); input()"
         )
-        with subprocess.Popen([sys.executable, "-c", waiting], stdin=subprocess.PIPE) as child:
-            assert stops(rig, drives)
-            child.communicate(b"\n", timeout=PATIENCE)
+        child = process(waiting, stdin=subprocess.PIPE)
+        assert stops(rig, drives)
+        child.stdin.write("\n")
+        child.stdin.close()
+        child.communicate(timeout=PATIENCE)

@@ -5,8 +5,6 @@ import math
 import os
 import random
 import socket
-import subprocess
-import sys
 import threading
 from contextlib import contextmanager, suppress
 
@@ -15,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE
+from processes import neurosim, started
 
 from neurosim.base.commands import Commands, Number
 from neurosim.base.errors import LinkLost, RobotError, UserError
@@ -287,20 +286,14 @@ def test_other_things_on_the_line(monkeypatch, answer, why):
 @pytest.mark.parametrize("words", [[], ["--socket"]])
 def test_the_command_line_keeps_one_running(tmp_path, words):
     """`lab lines` in a process of its own, recorded by `record` in another, in real time."""
-    run = [sys.executable, "-m", "neurosim"]
-    lab = subprocess.Popen(
-        [*run, "lab", "lines", *words, "--seconds", str(PATIENCE), "--json"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    lab = started("lab", "lines", *words, "--seconds", PATIENCE, "--json")
     try:
         port = json.loads("".join(lab.stdout.readline() for _ in range(3)))["port"]
         assert port.startswith("socket://" if words else "/dev/")
-        done = subprocess.run(
-            [*run, "record", "r", "--robot", "lines", "--port", port, "--camera", "none",
-             "--commands", "3", "--durations", "0.2..0.3", "--max-speed", "20"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE,
+        neurosim(
+            "record", "r", "--robot", "lines", "--port", port, "--camera", "none",
+            "--commands", "3", "--durations", "0.2..0.3", "--max-speed", "20", cwd=tmp_path,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
         about = json.loads((tmp_path / "r" / "recording.json").read_text())
         assert about["robot"]["name"] == "two-wheels"
         assert about["complete"]

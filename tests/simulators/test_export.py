@@ -17,18 +17,17 @@ from neurosim.simulators.export import export
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """Export an ensemble with everything, once."""
+    """Export an ensemble with everything, and load its program, once."""
     simulator = random_motion_network(4, central=True, floor=True)
     folder = tmp_path_factory.mktemp("made") / "program"
     export(simulator, folder, "torch")
-    return simulator, folder
+    return simulator, folder, torch.export.load(folder / "step.pt2").module()
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5, 64])
 @pytest.mark.slow
 def test_the_program_is_the_step(exported, rows):
-    simulator, folder = exported
-    program = torch.export.load(folder / "step.pt2").module()
+    simulator, _, program = exported
     commands = random_plans(simulator, rows)
     state, noise = given(simulator, commands)
     for parts in (1, 3):
@@ -39,8 +38,7 @@ def test_the_program_is_the_step(exported, rows):
 
 @pytest.mark.slow
 def test_gradients_flow_through_the_program(exported):
-    simulator, folder = exported
-    program = torch.export.load(folder / "step.pt2").module()
+    simulator, _, program = exported
     commands = random_plans(simulator, 4)
     state, noise = given(simulator, commands)
     slopes = []
@@ -54,7 +52,7 @@ def test_gradients_flow_through_the_program(exported):
 
 @pytest.mark.slow
 def test_the_page_runs_without_neurosim(exported):
-    simulator, folder = exported
+    simulator, folder, _ = exported
     about = json.loads((folder / "export.json").read_text())
     assert about["state"] == list(simulator.state_names)
     assert [one["name"] for one in about["command"]] == list(simulator.command_names)

@@ -4,29 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from filelock import FileLock
-from patience import PATIENCE
-
-
-def neurosim(*words, cwd, check=True) -> subprocess.CompletedProcess:
-    """Run the command as a user does."""
-    done = subprocess.run(
-        [sys.executable, "-m", "neurosim", *map(str, words)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        stdin=subprocess.DEVNULL,
-        timeout=PATIENCE,
-    )
-    if check:
-        assert done.returncode == 0, done.stderr
-    return done
+from processes import neurosim
 
 
 @dataclass

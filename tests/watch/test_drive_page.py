@@ -2,8 +2,6 @@
 
 import re
 import signal
-import subprocess
-import sys
 import threading
 from contextlib import contextmanager
 from functools import lru_cache
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 from devtools import browser_tab
 from patience import PATIENCE, wait_until
+from processes import neurosim, started
 
 from neurosim.base.commands import TWO_WHEELS, Commands, Number
 from neurosim.lab import CameraParams, read_truth
@@ -38,27 +37,14 @@ def tab(tmp_path_factory):
         yield tab
 
 
-def words(*words, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "neurosim", *map(str, words)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
-
-
 @contextmanager
 def recorded(folder, *options):
     """Begin a recording by hand; give the process, its page's address, and its messages."""
     optics = Optics(CameraParams(size=SIZE))
     lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
     CameraModel(SIZE, *lens).write(folder / "calibration.json")
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", "record", "r", "--by-hand", "--camera-size", "320x240",
-         *map(str, options)],
-        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words = ["record", "r", "--by-hand", "--camera-size", "320x240", *options]
+    child = started(*words, cwd=folder)
     messages = []
 
     def hear():
@@ -148,13 +134,13 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
     recording = Recording(folder)
     assert recording.meta["complete"] is True
     assert (recording.poses().quality > 0).mean() > 0.9
-    made = words("dataset", "r", "-o", "dataset", cwd=tmp_path)
+    made = neurosim("dataset", "r", "-o", "dataset", cwd=tmp_path)
     assert "Rows follow one another" in made.stdout, made.stderr
     dataset = Dataset.read(tmp_path / "dataset")
     assert len(dataset) >= 20
     commanded = {*map(tuple, dataset.table[["left", "right"]].to_numpy().tolist())}
     assert {*DRIVES.values()} <= commanded
-    learned = words("train", "dataset", "-o", "simulator", cwd=tmp_path)
+    learned = neurosim("train", "dataset", "-o", "simulator", cwd=tmp_path)
     assert learned.returncode == 0, learned.stderr
 
 
@@ -181,9 +167,9 @@ def test_ctrl_c_leaves_what_was_driven(tab, tmp_path):
     tab.open("about:blank")
     tab.complaints.clear()
     assert Recording(tmp_path / "r").meta["complete"] is False
-    tracked = words("track", "r", "--calibration", "calibration.json", cwd=tmp_path)
+    tracked = neurosim("track", "r", "--calibration", "calibration.json", cwd=tmp_path)
     assert tracked.returncode == 0, tracked.stderr
-    made = words("dataset", "r", "-o", "dataset", cwd=tmp_path)
+    made = neurosim("dataset", "r", "-o", "dataset", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     dataset = Dataset.read(tmp_path / "dataset")
     assert dataset.inputs[3:6] == ("vx", "vy", "omega")

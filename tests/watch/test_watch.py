@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import subprocess
 import sys
 from contextlib import contextmanager
 from urllib.request import urlopen
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import tracking_scene as scene
 from patience import PATIENCE, wait_until
+from processes import started
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
@@ -48,13 +48,7 @@ def two_tags(tmp_path):
 
 @contextmanager
 def watching(*words, cwd):
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", "watch", "--json", *map(str, words)],
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    child = started("watch", "--json", *words, cwd=cwd)
     try:
         message = ""
         while not message.rstrip().endswith("}"):
