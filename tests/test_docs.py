@@ -127,6 +127,7 @@ def test_python_runs(page, block, made, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if "import cma" in block:
         pytest.importorskip("cma")
+    block = block.replace("generations=300", "generations=20")
     # As a module, because dataclasses look up their module by name.
     module = types.ModuleType("block_of_docs")
     monkeypatch.setitem(sys.modules, module.__name__, module)

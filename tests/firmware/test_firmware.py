@@ -1,9 +1,11 @@
 """The programs in firmware/, as processes behind pseudo-terminals, held to the protocol."""
 
+import itertools
 import os
 import shutil
 import subprocess
 import tty
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -61,11 +63,26 @@ def test_arduino(arduino):
     assert not greeting.virtual
 
 
-@pytest.mark.parametrize("real", [True, False], ids=["micropython", "python"])
-@pytest.mark.parametrize("name", ["main_pico", "main_microbit", "main_pybricks"])
-def test_micropython(name, real):
-    with on_a_terminal(*micropython(name, real)) as port:
-        greeting = check_lines(port)
+NAMES, REAL = ("main_pico", "main_microbit", "main_pybricks"), (True, False)
+
+
+@pytest.fixture(scope="module")
+def checked():
+    """Check all programs at once: most of a check is waiting."""
+
+    def check(name, real):
+        with on_a_terminal(*micropython(name, real)) as port:
+            return check_lines(port)
+
+    cases = [*itertools.product(NAMES, REAL)]
+    with ThreadPoolExecutor(len(cases)) as pool:
+        yield {case: pool.submit(check, *case) for case in cases}
+
+
+@pytest.mark.parametrize("real", REAL, ids=["micropython", "python"])
+@pytest.mark.parametrize("name", NAMES)
+def test_micropython(checked, name, real):
+    greeting = checked[name, real].result()
     assert len(greeting.sensors) == (0 if name == "main_pybricks" else 2)
     assert len(greeting.counters) == (0 if name == "main_microbit" else 2)
     assert greeting.battery is (name == "main_pybricks")

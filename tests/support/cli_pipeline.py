@@ -49,7 +49,7 @@ def stages(folder: Path) -> dict[str, dict]:
         "record": "record recording --commands 60 --calibration calibration.json --seed 4",
         "track": "track recording",
         "dataset": "dataset recording -o dataset",
-        "train": "train dataset -o simulator --seed 1",
+        "train": "train dataset -o simulator --seed 1 --members 4",
         "evaluate": "evaluate simulator dataset",
         "evolve": "evolve simulator -o controller --generations 40 --runs 2 --seed 1",
         "run": "run controller -o trial --calibration calibration.json --seed 9",

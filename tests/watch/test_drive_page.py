@@ -140,7 +140,7 @@ def test_what_is_pressed_becomes_a_dataset_that_is_learned_from(tab, tmp_path):
     assert len(dataset) >= 20
     commanded = {*map(tuple, dataset.table[["left", "right"]].to_numpy().tolist())}
     assert {*DRIVES.values()} <= commanded
-    learned = neurosim("train", "dataset", "-o", "simulator", cwd=tmp_path)
+    learned = neurosim("train", "dataset", "-o", "simulator", "--members", 2, cwd=tmp_path)
     assert learned.returncode == 0, learned.stderr
 
 
