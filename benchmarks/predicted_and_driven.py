@@ -5,13 +5,14 @@ recording, controllers are evolved in it, and each is driven: through driver, ra
 tracker and guard, by the commands of the command line. No constant was chosen on these robots;
 their seeds were chosen at random once, before the first run: :data:`ROBOTS`.
 
-A plan is driven in open loop and replanned after each command. It is also driven in the lab's bare
-physics, where the guard ends drives by geometry: the two may differ by chance alone.
-The oracle is the better of the plan and of that plan evolved on in the lab's physics itself, with
-the guard, as both drive in bare physics.
+A robust plan is driven in open loop and replanned after each command; a plan that was not made
+robust in open loop; a network in closed loop. Plans are driven in the lab's bare physics, too,
+where the guard ends drives by geometry: the two may differ by chance alone. The oracle is the
+better of the robust plan and of that plan evolved on in the lab's physics itself, with the guard,
+as both drive in bare physics.
 
-Printed are the predicted probability and the fraction that completed the task, over all open-loop
-drives and in bins; the Brier skill over the base rate; and what replanning completes.
+Printed are the predicted probability and the fraction that completed the task, over all drives of
+a kind and in bins; the Brier skill over the base rate; and how many replanned drives completed.
 
     python benchmarks/predicted_and_driven.py KEPT                 go on where the folder KEPT ends
     python benchmarks/predicted_and_driven.py KEPT --robots 2      the first two robots alone
@@ -39,6 +40,8 @@ from neurosim.controllers import read_controller
 ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
 #: How the commands of a recording are chosen.
 KINDS = {"guided": ["--guided"], "random": []}
+#: All drives of which a probability was predicted as they were driven: none that is replanned.
+PREDICTED = "all predicted"
 
 
 def main() -> None:
@@ -50,6 +53,8 @@ def main() -> None:
     parser.add_argument("--plans", type=int, default=2, help="evolved in each simulator")
     parser.add_argument("--drives", type=int, default=8, help="of each plan, in open loop")
     parser.add_argument("--replanned", type=int, default=2, help="of each plan")
+    parser.add_argument("--plain", type=int, default=0, help="drives of a plan without --robust")
+    parser.add_argument("--networks", type=int, default=0, help="drives of a network, closed loop")
     parser.add_argument("--bare", type=int, default=200, help="of each plan, in bare physics")
     parser.add_argument("--show", action="store_true", help="what there is; nothing is driven")
     parser.add_argument("--json", action="store_true")
@@ -91,34 +96,59 @@ def one_simulator(options: argparse.Namespace, robot: int, kind: str) -> None:
     if not simulator.exists():
         neurosim("train", dataset, "-o", simulator, "--seed", robot)
     for number in range(options.plans):
-        one_plan(options, folder, robot, robot + number)
+        seed = robot + number
+        plan = one_controller(options, folder / f"plan-{seed}", robot, seed, ["--robust"])
+        drives(options, plan, robot, seed, "open-loop", options.drives)
+        drives(options, plan, robot, seed, "replanned", options.replanned)
+    if options.plain:
+        plan = one_controller(options, folder / f"plain-{robot}", robot, robot, [])
+        drives(options, plan, robot, robot, "plain", options.plain)
+    if options.networks:
+        words = ["--controller", "network"]
+        network = one_controller(options, folder / f"network-{robot}", robot, robot, words)
+        drives(options, network, robot, robot, "network", options.networks)
 
 
-def one_plan(options: argparse.Namespace, folder: Path, robot: int, seed: int) -> None:
-    simulator, plan = folder / "simulator", folder / f"plan-{seed}"
-    if not plan.exists():
-        task = ["--task", "nine-rectangles", "--robust"]
-        neurosim("evolve", simulator, *task, "-o", plan, "--seed", seed)
-    checked = plan.with_name(f"{plan.name}.check.json")
-    if not checked.exists():
-        result = neurosim("plan-check", plan, simulator, "--seed", seed, "--json")
-        given = [tuple(c) for c in read_controller(plan).commands if c is not None]
+def one_controller(
+    options: argparse.Namespace, made: Path, robot: int, seed: int, words: list[str]
+) -> Path:
+    """Evolve a controller, and write what is predicted of it next to it."""
+    simulator = made.parent / "simulator"
+    if not made.exists():
+        task = ["--task", "nine-rectangles", *words]
+        neurosim("evolve", simulator, *task, "-o", made, "--seed", seed)
+    checked = made.with_name(f"{made.name}.check.json")
+    if checked.exists():
+        return made
+    controller = read_controller(made)
+    if controller.controller.open_loop:
+        result = neurosim("plan-check", made, simulator, "--seed", seed, "--json")
+        given = [tuple(c) for c in controller.commands if c is not None]
         result["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
         result["bare_drives"] = options.bare
+    else:
+        result = {"probability": controller.predicted["probability"]}
+    if words == ["--robust"]:
         best = oracle(given, robot, seed)
         result["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
-        checked.write_text(json.dumps(result), encoding="utf-8")
-    for how, count in (("open-loop", options.drives), ("replanned", options.replanned)):
-        for number in range(count):
-            trial = folder / f"{plan.name}-{how}-{number}"
-            if (trial / "trial.json").exists():
-                continue
-            shutil.rmtree(trial, ignore_errors=True)
-            words = ["--replan"] if how == "replanned" else ["--no-replan"]
-            words += ["--calibration", options.kept / "calibration.json", "--lab-seed", robot]
-            neurosim("run", plan, *words, "-o", trial, "--seed", 100 * seed + number)
-            for video in trial.glob("*.avi"):
-                video.unlink()
+    checked.write_text(json.dumps(result), encoding="utf-8")
+    return made
+
+
+def drives(
+    options: argparse.Namespace, controller: Path, robot: int, seed: int, how: str, count: int
+) -> None:
+    """Drive a controller so many times, the way of a user."""
+    for number in range(count):
+        trial = controller.with_name(f"{controller.name}-{how}-{number}")
+        if (trial / "trial.json").exists():
+            continue
+        shutil.rmtree(trial, ignore_errors=True)
+        words = {"replanned": ["--replan"], "network": []}.get(how, ["--no-replan"])
+        words += ["--calibration", options.kept / "calibration.json", "--lab-seed", robot]
+        neurosim("run", controller, *words, "-o", trial, "--seed", 100 * seed + number)
+        for video in trial.glob("*.avi"):
+            video.unlink()
 
 
 def oracle(given: list, robot: int, seed: int) -> list:
@@ -141,18 +171,27 @@ def rows(kept: Path) -> Iterator[dict]:
                 "plan": f"{file.parent.name}/{plan}",
                 "how": trial.parent.name.removeprefix(f"{plan}-").rsplit("-", 1)[0],
                 "predicted": checked["probability"],
-                "bare": checked["bare"] / checked["bare_drives"],
-                "oracle": max(checked["oracle"], checked["bare"]) / checked["bare_drives"],
                 "completed": bool(report["actual"]["completes"]),
                 "stopped": report["stopped"] is not None,
+                **in_bare_physics(checked),
             }
 
 
+def in_bare_physics(checked: dict) -> dict:
+    """Return the fractions of drives in bare physics that completed, where there were any."""
+    fractions = {name: checked[name] for name in ("bare", "oracle") if name in checked}
+    if "oracle" in fractions:
+        fractions["oracle"] = max(fractions.values())
+    return {name: count / checked["bare_drives"] for name, count in fractions.items()}
+
+
 def summary(drives: list[dict]) -> dict:
-    """Return the summary of all drives."""
+    """Return what all drives say, of each way of driving and of all that is not replanned."""
     results: dict = {}
-    for how in ("open-loop", "replanned"):
-        chosen = [row for row in drives if row["how"] == how]
+    for how in ("open-loop", "replanned", "plain", "network", PREDICTED):
+        chosen = [row for row in drives if how in (row["how"], PREDICTED)]
+        if how == PREDICTED:
+            chosen = [row for row in chosen if row["how"] != "replanned"]
         if not chosen:
             continue
         done = np.array([row["completed"] for row in chosen], float)
@@ -164,17 +203,18 @@ def summary(drives: list[dict]) -> dict:
             "interval": wilson(int(done.sum()), len(done)),
             "stopped by the guard": float(np.mean([row["stopped"] for row in chosen])),
         }
-        if how == "open-loop":
+        if how != "replanned":
             base = float(done.mean() * (1 - done.mean()))
             brier = float(((predicted - done) ** 2).mean())
             about |= {
                 "predicted": float(predicted.mean()),
-                "in bare physics": float(np.mean([row["bare"] for row in chosen])),
-                "oracle": float(np.mean([row["oracle"] for row in chosen])),
                 "Brier score": brier,
                 "Brier skill": 1 - brier / base if base > 0 else None,
                 "bins": bins(predicted, done),
             }
+        for name, title in (("bare", "in bare physics"), ("oracle", "oracle")):
+            if how != "replanned" and all(name in row for row in chosen):
+                about[title] = float(np.mean([row[name] for row in chosen]))
         results[how] = about
         for kind in KINDS:
             part = [row for row in chosen if row["kind"] == kind]
