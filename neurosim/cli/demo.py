@@ -117,8 +117,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     yield ["evaluate", simulator, dataset]
     if not controller.exists():
         words = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
-        # Fewer than usual, before those that make it robust: a quarter of a minute for 1 to 2 %.
-        yield [*words, "--generations", 300, *seeded]
+        yield [*words, *seeded]
     yield ["plan-check", controller, simulator]
     # Once in open loop, and once replanned after every command from where the robot is seen.
     trials = {out / "trial": [], out / "replanned": ["--replan"]}
