@@ -5,7 +5,8 @@
     python docs/figures.py write                                    write them into the pages
 
 ``measure`` runs a benchmark with ``--json``. It keeps the result in ``docs/figures/NAME.json``,
-with date, commit, command, machine, and the SHA-256 of each file of code that the benchmark loaded.
+with date, commit, command, machine, and the SHA-256 of each file of code that the benchmark loaded,
+without its comments and docstrings.
 ``docs/figures/NAME.md`` is a template. ``{several_objects[rows][0][two_near]:.3f}`` is a figure of
 ``several_objects.json``; ``:.1f*100`` multiplies it by 100. A page has the template's place::
 
@@ -16,6 +17,7 @@ with date, commit, command, machine, and the SHA-256 of each file of code that t
 from __future__ import annotations
 
 import argparse
+import ast
 import contextlib
 import hashlib
 import io
@@ -27,6 +29,7 @@ import runpy
 import string
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -100,8 +103,27 @@ def loaded(root: Path, script: Path) -> list[str]:
 
 
 def digest(path: Path) -> str:
-    """Return the first digits of a file's SHA-256, or nothing where there is no file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
+    """Return the first digits of the SHA-256 of a file's code; nothing: there is no file."""
+    if not path.is_file():
+        return ""
+    return hashlib.sha256(bare(path.read_text(encoding="utf-8")).encode()).hexdigest()[:16]
+
+
+def bare(source: str) -> str:
+    """Return Python code without comments, docstrings and blank lines."""
+    lines, left_out = source.splitlines(), set()
+    for node in ast.walk(ast.parse(source)):
+        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        if documented and ast.get_docstring(node) is not None:
+            first = node.body[0]
+            left_out |= set(range(first.lineno, (first.end_lineno or first.lineno) + 1))
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column]
+    return "\n".join(
+        line.rstrip() for n, line in enumerate(lines, 1) if n not in left_out and line.strip()
+    )
 
 
 def changed(measured: Mapping[str, Any], root: Path = ROOT) -> list[str]:
