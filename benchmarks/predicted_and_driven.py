@@ -138,7 +138,7 @@ def one_controller(
 def drives(
     options: argparse.Namespace, controller: Path, robot: int, seed: int, how: str, count: int
 ) -> None:
-    """Drive a controller so many times, the way of a user."""
+    """Drive a controller ``count`` times with the commands that a user calls."""
     for number in range(count):
         trial = controller.with_name(f"{controller.name}-{how}-{number}")
         if (trial / "trial.json").exists():
@@ -186,7 +186,7 @@ def in_bare_physics(checked: dict) -> dict:
 
 
 def summary(drives: list[dict]) -> dict:
-    """Return what all drives say, of each way of driving and of all that is not replanned."""
+    """Return the summary of each way of driving, and of all drives that are not replanned."""
     results: dict = {}
     for how in ("open-loop", "replanned", "plain", "network", PREDICTED):
         chosen = [row for row in drives if how in (row["how"], PREDICTED)]
