@@ -126,10 +126,11 @@ def test_a_recording(calibration, tmp_path):
         if recording.sessions == 1:
             assert whole_lines(folder, "commands.csv") == whole_lines(whole, "commands.csv")
         assert recording.is_tracked, after
-        # For each session in which a command was sent.
-        lines = recording.commands().itertuples()
-        sessions = {line.session for line in lines if line.kind == "command"}
-        assert set(recording.poses().session) == sessions, after
+        lines = list(recording.commands().itertuples())
+        # A command is sent again if the kill lost what was filmed of it.
+        last = {line.command: line.session for line in lines if line.kind == "command"}
+        seen = set(recording.poses().session)
+        assert set(last.values()) <= seen <= {line.session for line in lines}, after
 
 
 def rows(path, *names):
