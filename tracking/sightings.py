@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.errors import FileError
 from neurosim.base.files import integer, number, optional_number, read_csv
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
@@ -56,16 +57,20 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
     values[frames] = table[list(SIGHTING_COLUMNS[2:])].to_numpy()
     missing = np.setdiff1d(np.arange(len(times)), frames)
     markers = recording.meta["markers"]
-    if missing.size:
-        _fill(values, missing, times, recording.video(session), markers, camera)
-    with Video(recording.video(session)) as video:
-        size = video.size
-        what = sought(markers)
-        row = (
-            {"tag": what.as_dict()}
-            if isinstance(what, Tag)
-            else _colours(video, values, what, marker_geometry(markers, camera))
-        )
+    what, size = sought(markers), camera.image_size
+    row = {"tag": what.as_dict()} if isinstance(what, Tag) else _names(what)
+    try:
+        if missing.size:
+            _fill(values, missing, times, recording.video(session), markers, camera)
+        with Video(recording.video(session)) as video:
+            size = video.size
+            if not isinstance(what, Tag):
+                row = _colours(video, values, what, marker_geometry(markers, camera))
+    except FileError:
+        lines = recording.commands().itertuples()
+        if any(line.session == session and line.kind == "end" for line in lines):
+            raise
+        # The session was killed before its first frame was written into the video.
     return Track(
         np.arange(len(times)),
         times,
@@ -111,9 +116,14 @@ def _colours(
     frames = [frame for index in places if (frame := video.at(int(index))) is not None]
     seen_colours = find_colours(frames, colours, geometry) if frames else None
     if seen_colours is None:
-        return {"front": {"colour": colours[0].name}, "rear": {"colour": colours[1].name}}
+        return _names(colours)
     front, rear = unless_still(seen_colours, values[:, 0:2], values[:, 2:4])
     return {"front": front.as_dict(), "rear": rear.as_dict()}
+
+
+def _names(colours: tuple[Colour, Colour]) -> dict[str, dict[str, Any]]:
+    """Return the colours of the pair by their names alone."""
+    return {"front": {"colour": colours[0].name}, "rear": {"colour": colours[1].name}}
 
 
 def _fill(

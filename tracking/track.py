@@ -57,7 +57,7 @@ def track(
 
     Poses are of the middle of the axle on the board, in metres and radians, heading unwrapped
     over each session; times are on the session's robot clock. A session that ended before its
-    first command is left out.
+    first command is left out, as is one that was killed before its first frame was written.
 
     Args:
         recording: its folder.
@@ -104,6 +104,11 @@ def track(
             continue
         times = source.frame_times(session)
         ended = any(line.session == session and line.kind == "end" for line in lines)
+        resumed = not ended and session < len(paths) and session not in (live or {})
+        if resumed and _holds_nothing(path):
+            # Killed before its first frame was written; --resume sent its commands again.
+            sessions.append({"session": session, "left_out": "nothing was filmed"})
+            continue
         if ended and not partial and session not in (live or {}):
             _check_times(source, session, 0 if times is None else len(times))
         seen = (live or {}).get(session) or follow(
@@ -365,6 +370,15 @@ def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
         )
     rest = iter(given)
     return [Path(next(rest)) if path is None else path for path in own]
+
+
+def _holds_nothing(path: str | Path) -> bool:
+    """Return whether a video is there, and no frame of it can be read."""
+    try:
+        Video(path).close()
+    except FileError:
+        return Path(path).is_file()
+    return False
 
 
 def _check_whole(path: str | Path, frames: int, missing: int) -> None:

@@ -12,7 +12,7 @@ import pytest
 from patience import PATIENCE, wait_until
 from processes import ended_by, started
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, UserError
 from neurosim.lab import VirtualRig, read_truth
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.recording.record import Guard, RecordSettings, Rig, record
@@ -135,6 +135,21 @@ def test_frames_that_were_passed_over_are_looked_at_in_the_video(kept, tmp_path)
     np.testing.assert_array_equal(filled.front[rest], whole.front[rest])
     assert (filled.quality[missing] > 0).all()
     assert np.abs(filled.front[missing] - whole.front[missing]).max() < 0.5
+
+
+def test_sightings_of_a_killed_session_are_kept_without_its_video(kept, tmp_path):
+    recording, _, _ = kept
+    camera = CameraModel.read(recording.path / "calibration.json")
+    copy = tmp_path / "killed"
+    shutil.copytree(recording.path, copy)
+    (copy / "video-001.avi").write_bytes(b"")
+    with pytest.raises(FileError, match="cannot be opened as a video"):
+        seen_live(Recording(copy), 1, camera)
+    lines = (copy / "commands.csv").read_text().splitlines(keepends=True)
+    (copy / "commands.csv").write_text("".join(line for line in lines if ",end," not in line))
+    sightings, whole = (seen_live(one, 1, camera) for one in (Recording(copy), recording))
+    np.testing.assert_array_equal(sightings.front, whole.front)
+    assert sightings.markers == {"front": {"colour": "pink"}, "rear": {"colour": "blue"}}
 
 
 def test_a_camera_that_does_not_wait_is_never_slowed_and_misses_nothing_in_the_end(tmp_path):

@@ -119,6 +119,20 @@ def test_a_recording_becomes_poses(recording, tmp_path):
     assert len(sampled) == FRAMES
 
 
+def test_a_session_that_was_killed_before_its_first_frame_is_left_out(recording):
+    path = recording.path / "commands.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], "1,0,command,3.0,20,20,1.0", *lines[2:], ""]))
+    (recording.path / "video-001.mkv").touch()
+    track(recording.path)
+    assert set(recording.poses().session) == {2}
+    (left_out, _) = json.loads((recording.path / "tracking.json").read_text())["sessions"]
+    assert left_out == {"session": 1, "left_out": "nothing was filmed"}
+    (recording.path / "video-001.mkv").unlink()
+    with pytest.raises(UserError, match=r"video-001.mkv: no such video"):
+        track(recording.path)
+
+
 def test_a_video_cut_in_the_middle_is_read_as_far_as_it_goes(recording):
     path = recording.path / "video-002.mkv"
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
