@@ -20,8 +20,8 @@ from neurosim.base.formats import Demo
 from neurosim.cli._common import is_given, seed_option
 from neurosim.cli._types import PATH
 
-#: Demos of version 1 recorded random commands.
-FORMAT, VERSION = "neurosim-demo", 2
+#: Demos of version 1 recorded random commands, those of version 2 in rounds of 50.
+FORMAT, VERSION = "neurosim-demo", 3
 
 
 @click.command()

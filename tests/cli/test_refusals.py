@@ -507,7 +507,7 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
 def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):
     (tmp_path / "FILE").touch()
     assert "FILE is a file; name a folder" in refused("demo", "FILE")
-    write_json(tmp_path / "d" / "demo.json", "neurosim-demo", 2, {"commands": 400, "seed": 0})
+    write_json(tmp_path / "d" / "demo.json", "neurosim-demo", 3, {"commands": 400, "seed": 0})
     assert "was started with --commands 400, not 60" in refused("demo", "d", "--commands", 60)
     assert "was started with --seed 0, not 1" in refused("demo", "d", "--seed", 1)
     (tmp_path / "mine").mkdir()
