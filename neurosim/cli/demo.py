@@ -140,7 +140,7 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
             )
         write_json(path, FORMAT, VERSION, now)
         return commands, seed
-    begun = read_json(path, FORMAT, VERSION, Demo)
+    begun = read_json(path, FORMAT, VERSION, Demo, oldest=VERSION)
     for name, value in now.items():
         if is_given(name) and begun[name] != value:
             raise UserError(
