@@ -271,9 +271,12 @@ def medians(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     result: dict[str, dict[str, Any]] = {}
     for place in PLACES:
         there = [row for row in rows if row["place"] == place]
-        by = {m: [row for row in there if row["method"] == m] for m in METHODS}
+        if not there:
+            continue
+        methods = [method for method in METHODS if any(row["method"] == method for row in there)]
         result[place] = {"hand-tuned": 100 * float(np.mean([row["hand"] for row in there]))}
-        for method, own in by.items():
+        for method in methods:
+            own = [row for row in there if row["method"] == method]
             speeds = [list(row["read"].values())[-1][0] for row in own]
             passed = sum(s >= PAPER * row["hand"] for s, row in zip(speeds, own, strict=True))
             result[place][method] = {

@@ -40,8 +40,6 @@ from neurosim.controllers import read_controller
 ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
 #: How the commands of a recording are chosen.
 KINDS = {"guided": ["--guided"], "random": []}
-#: All drives of which a probability was predicted as they were driven: none that is replanned.
-PREDICTED = "all predicted"
 
 
 def main() -> None:
@@ -126,11 +124,11 @@ def one_controller(
         given = [tuple(c) for c in controller.commands if c is not None]
         result["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
         result["bare_drives"] = options.bare
+        if "--robust" in words:
+            best = oracle(given, robot, seed)
+            result["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
     else:
         result = {"probability": controller.predicted["probability"]}
-    if words == ["--robust"]:
-        best = oracle(given, robot, seed)
-        result["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
     checked.write_text(json.dumps(result), encoding="utf-8")
     return made
 
@@ -188,10 +186,11 @@ def in_bare_physics(checked: dict) -> dict:
 def summary(drives: list[dict]) -> dict:
     """Return the summary of each way of driving, and of all drives that are not replanned."""
     results: dict = {}
-    for how in ("open-loop", "replanned", "plain", "network", PREDICTED):
-        chosen = [row for row in drives if how in (row["how"], PREDICTED)]
-        if how == PREDICTED:
-            chosen = [row for row in chosen if row["how"] != "replanned"]
+    ways = ("open-loop", "replanned", "plain", "network")
+    groups = {how: [row for row in drives if row["how"] == how] for how in ways}
+    # None that is replanned: its probability was predicted of the plan in open loop.
+    groups["all predicted"] = [row for row in drives if row["how"] != "replanned"]
+    for how, chosen in groups.items():
         if not chosen:
             continue
         done = np.array([row["completed"] for row in chosen], float)
