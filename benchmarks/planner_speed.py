@@ -88,16 +88,19 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     generations = 100 if options.quick else 1000
-    if options.settings:
-        completing = {str(slots): finders(options, slots, generations) for slots in (10, COMMANDS)}
-        print(json.dumps({"runs": RUNS, "completing": completing}) if options.json else completing)
-        return
     simulators = {"paper's size": papers_size()}
     if options.simulator is not None:
         simulators["default"] = read_simulator(options.simulator)
-    elif not options.quick:
+    elif options.settings or not options.quick:
         with tempfile.TemporaryDirectory() as folder:
             simulators["default"] = train(options.dataset, Path(folder) / "simulator")
+    if options.settings:
+        completing = {
+            str(slots): finders(simulators["default"], slots, generations)
+            for slots in (10, COMMANDS)
+        }
+        print(json.dumps({"runs": RUNS, "completing": completing}) if options.json else completing)
+        return
     rows = []
     for name, simulator in simulators.items():
         for runs in (1, 30):
@@ -116,25 +119,19 @@ def main() -> None:
         print(f"{row['name']:42}  {shown}   {row['command_steps_per_second']:20,.0f}")
 
 
-def finders(options: argparse.Namespace, slots: int, generations: int) -> dict[str, int]:
+def finders(simulator: MotionNetwork, slots: int, generations: int) -> dict[str, int]:
     """Return how many runs find a course, with the default settings, others, and the paper's."""
     task, family = NineRectangles(), Plan(slots=slots)
-    with tempfile.TemporaryDirectory() as folder:
-        simulator = options.simulator or Path(folder) / "simulator"
-        if options.simulator is None:
-            train(options.dataset, simulator)
-        completing = {}
-        usual = default_settings(family, task, runs=RUNS, generations=generations)
-        tournament = replace(usual.genetic, tournament=50)
-        for name, settings in {
-            "default": usual,
-            "tournament of 50": replace(usual, genetic=tournament),
-            "paper": replace(usual, genetic=GeneticSettings(), insertion=False),
-        }.items():
-            evolved = evolve(
-                read_simulator(simulator), task, family, settings=settings, seed=904, progress=False
-            )
-            completing[name] = sum(one.predicted["completes"] for one in evolved)
+    usual = default_settings(family, task, runs=RUNS, generations=generations)
+    ways = {
+        "default": usual,
+        "tournament of 50": replace(usual, genetic=replace(usual.genetic, tournament=50)),
+        "paper": replace(usual, genetic=GeneticSettings(), insertion=False),
+    }
+    completing = {}
+    for name, settings in ways.items():
+        evolved = evolve(simulator, task, family, settings=settings, seed=904, progress=False)
+        completing[name] = sum(one.predicted["completes"] for one in evolved)
     return completing
 
 

@@ -113,7 +113,9 @@ def bare(source: str) -> str:
     """Return Python code without comments, docstrings and blank lines."""
     lines, left_out = source.splitlines(), set()
     for node in ast.walk(ast.parse(source)):
-        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        documented = isinstance(
+            node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        )
         if documented and ast.get_docstring(node) is not None:
             first = node.body[0]
             left_out |= set(range(first.lineno, (first.end_lineno or first.lineno) + 1))
