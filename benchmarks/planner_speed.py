@@ -123,13 +123,13 @@ def finders(simulator: MotionNetwork, slots: int, generations: int) -> dict[str,
     """Return how many runs find a course, with the default settings, others, and the paper's."""
     task, family = NineRectangles(), Plan(slots=slots)
     usual = default_settings(family, task, runs=RUNS, generations=generations)
-    ways = {
+    choices = {
         "default": usual,
         "tournament of 50": replace(usual, genetic=replace(usual.genetic, tournament=50)),
         "paper": replace(usual, genetic=GeneticSettings(), insertion=False),
     }
     completing = {}
-    for name, settings in ways.items():
+    for name, settings in choices.items():
         evolved = evolve(simulator, task, family, settings=settings, seed=904, progress=False)
         completing[name] = sum(one.predicted["completes"] for one in evolved)
     return completing

@@ -186,8 +186,10 @@ def in_bare_physics(checked: dict) -> dict:
 def summary(drives: list[dict]) -> dict:
     """Return the summary of each way of driving, and of all drives that are not replanned."""
     results: dict = {}
-    ways = ("open-loop", "replanned", "plain", "network")
-    groups = {how: [row for row in drives if row["how"] == how] for how in ways}
+    groups = {
+        how: [row for row in drives if row["how"] == how]
+        for how in ("open-loop", "replanned", "plain", "network")
+    }
     # None that is replanned: its probability was predicted of the plan in open loop.
     groups["all predicted"] = [row for row in drives if row["how"] != "replanned"]
     for how, chosen in groups.items():
