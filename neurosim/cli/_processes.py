@@ -87,11 +87,7 @@ class Processes:
         return one
 
     def _here(self, words: list[str]) -> tuple[int, str, str]:
-        pipe, environment = subprocess.PIPE, os.environ | self._threads
-        words = [sys.executable, *words]
-        process = self._start(
-            subprocess.Popen, words, env=environment, stdout=pipe, stderr=pipe, text=True
-        )
+        process = self._start(_python, words, self._threads)
         printed, errors = process.communicate()
         self._running.discard(process)
         return process.returncode, printed, errors
@@ -110,11 +106,7 @@ class Processes:
 
 def _run(words: list[str], environment: dict[str, str], folder: str) -> tuple[int, str, str]:
     """Run a command in a worker of a cluster, by its own Python; end it when this is cancelled."""
-    words, pipe = [sys.executable, *words], subprocess.PIPE
-    environment = os.environ | environment
-    process = subprocess.Popen(
-        words, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True
-    )
+    process = _python(words, environment, folder)
     try:
         while True:
             # A worker is cancelled between two lines of Python, and never while it waits.
@@ -123,6 +115,20 @@ def _run(words: list[str], environment: dict[str, str], folder: str) -> tuple[in
                 return process.returncode, printed, errors
     finally:
         _interrupt([process])
+
+
+def _python(
+    words: list[str], environment: dict[str, str], folder: str | None = None
+) -> subprocess.Popen[str]:
+    """Start this process's Python with these words, and more variables in its environment."""
+    return subprocess.Popen(
+        [sys.executable, *words],
+        cwd=folder,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def _interrupt(processes: Sequence[subprocess.Popen[str]]) -> None:
