@@ -25,7 +25,7 @@ import atexit, gc, json, os, signal, socket, sys, threading, traceback
 import neurosim.back_to_reality.run, neurosim.lab, neurosim.loop.evolve, neurosim.recording.record
 import neurosim.reports.report, neurosim.sampling, neurosim.training.train, neurosim.trials.trial
 import neurosim.cli.main, neurosim.watch, tracking.track
-import scipy.optimize, torch
+import torch
 
 gc.freeze()
 server = socket.socket(fileno=int(sys.argv[1]))
@@ -99,7 +99,9 @@ class _Server:
             socket.send_fds(self._socket, [json.dumps(asked).encode()], [*files, theirs])
             os.close(theirs)
             report = os.fdopen(ours, closefd=True)
-            return int(report.readline()), report
+            if not (number := report.readline()):
+                raise RuntimeError("the server of processes has ended; stderr has its error")
+            return int(number), report
 
 
 _server = cache(_Server)
