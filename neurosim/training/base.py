@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple, Protocol
 
@@ -114,6 +116,26 @@ def _not_zero(scale: Tensor) -> Tensor:
 
 #: Numbers of units of a kind.
 Units = Annotated[int, Meta(ge=1, le=4096)]
+
+
+class _LBFGS(torch.optim.LBFGS):
+    """L-BFGS without PyTorch's compiler, which would take three seconds to import."""
+
+    add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
+
+
+def minimise(parameters: Sequence[Tensor], loss: Callable[[], Any], *, steps: int) -> None:
+    """Minimise a function by L-BFGS whose line search fulfils the strong Wolfe conditions.
+
+    Nocedal and Wright 2006, algorithms 7.5 and 3.5.
+
+    Args:
+        parameters: its arguments; they are changed.
+        loss: returns its value, and sets the arguments' gradients anew.
+        steps: most iterations.
+    """
+    optimiser = _LBFGS(list(parameters), max_iter=steps, line_search_fn="strong_wolfe")
+    optimiser.step(loss)
 
 
 class Trainer(Protocol):

@@ -24,7 +24,7 @@ from neurosim.simulators.motion.noise import (
     in_motion,
     residual,
 )
-from neurosim.training.base import root_mean_square
+from neurosim.training.base import minimise, root_mean_square
 
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
@@ -78,7 +78,7 @@ def fit_noise(
     log_weights = (_WEIGHTS / _WEIGHTS.sum()).log()
 
     def loss() -> Tensor:
-        optimiser.zero_grad()
+        w.grad = h.grad = u.grad = None
         width = heaviness(tail, h).unsqueeze(1) * _PLACES  # [N, places]
         log_s = (w @ scale.T).unsqueeze(2) + width  # [3, N, places]
         moving = in_motion(unit, u * size.unsqueeze(-1), mean)
@@ -101,9 +101,8 @@ def fit_noise(
         value.backward()
         return value
 
-    optimiser = torch.optim.LBFGS([w, h, u], max_iter=150, line_search_fn="strong_wolfe")
     with one_thread():
-        optimiser.step(loss)
+        minimise([w, h, u], loss, steps=150)
     w = w.detach()
     w[:, 0] += size.log()
     return NoiseModel(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
 import torch
+from processes import finished, process
 from torch.distributions import MultivariateNormal
 
 from neurosim.training.trainers.gaussian_process import unlikelihood
@@ -57,3 +59,22 @@ def test_the_gradient_is_that_of_differences(seed):
     for k, step in enumerate(1e-5 * torch.eye(7, dtype=torch.float64)):
         above, below = (unlikelihood(result + s * step, x, y, trust, spread)[0] for s in (1, -1))
         assert float(gradient[k]) == pytest.approx((above - below) / 2e-5, abs=1e-4)
+
+
+def test_the_search_finds_a_minimum_without_pytorchs_compiler():
+    program = (
+        "import sys, torch\n"
+        "from neurosim.training.base import minimise\n"
+        "x = torch.zeros(2, dtype=torch.float64, requires_grad=True)\n"
+        "def loss():\n"
+        "    x.grad = None\n"
+        "    value = (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2  # Rosenbrock\n"
+        "    value.backward()\n"
+        "    return value\n"
+        "minimise([x], loss, steps=200)\n"
+        "print(x.tolist(), 'torch._dynamo' in sys.modules)\n"
+    )
+    done = finished(process(program))
+    values, imported = done.stdout.rsplit(" ", 1)
+    assert json.loads(values) == pytest.approx([1.0, 1.0], abs=1e-3), done.stderr
+    assert imported == "False\n"

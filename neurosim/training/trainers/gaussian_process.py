@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from neurosim.simulators.motion.kernel_units import covariance
+from neurosim.training.base import minimise
 
 #: Number of steps of the search for the lengths.
 _STEPS = 30
@@ -119,13 +120,12 @@ def learn_process(
         ]
     )
     logs = start.clone()
-    optimiser = torch.optim.LBFGS([logs], max_iter=_STEPS, line_search_fn="strong_wolfe")
 
     def loss() -> float:
         value, logs.grad = unlikelihood(logs, own, values, trust, spread)
         return value
 
-    optimiser.step(loss)
+    minimise([logs], loss, steps=_STEPS)
     least, result = loss(), _bounded(logs, inputs)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
@@ -147,7 +147,7 @@ def unlikelihood(
     Rasmussen and Williams 2006, equations 5.8 and 5.9.
 
     Args:
-        found: logarithms of lengths in spreads of their inputs, and of the functions' standard
+        logs: logarithms of lengths in spreads of their inputs, and of the functions' standard
             deviations and those of their noise, [J + 2 F].
         x: inputs, [N, J].
         y: values, [N, F].
