@@ -12,7 +12,7 @@ from neurosim.base.errors import FileError
 from neurosim.base.files import integer, number, optional_number, read_csv
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
-from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording
+from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording, ended_sessions
 from tracking.follow import Track
 from tracking.markers.colours import Colour
 from tracking.markers.pair import Geometry
@@ -67,8 +67,7 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
             if not isinstance(what, Tag):
                 row = _colours(video, values, what, marker_geometry(markers, camera))
     except FileError:
-        lines = recording.commands().itertuples()
-        if any(line.session == session and line.kind == "end" for line in lines):
+        if session in ended_sessions(recording.commands().itertuples()):
             raise
         # The session was killed before its first frame was written into the video.
     return Track(

@@ -26,6 +26,7 @@ from tracking.datasets.recordings import (
     CommandLine,
     Poses,
     Recording,
+    ended_sessions,
 )
 from tracking.follow import Track, follow
 from tracking.markers.colours import Colour, parse_colour
@@ -103,7 +104,7 @@ def track(
             sessions.append({"session": session, "left_out": "no command was sent"})
             continue
         times = source.frame_times(session)
-        ended = any(line.session == session and line.kind == "end" for line in lines)
+        ended = session in ended_sessions(lines)
         resumed = not ended and session < len(paths) and session not in (live or {})
         if resumed and _holds_nothing(path):
             # Killed before its first frame was written; --resume sent its commands again.

@@ -35,7 +35,7 @@ from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
 from tracking.camera.cameras import STALLED, Camera
-from tracking.datasets.recordings import CommandLine, Recording
+from tracking.datasets.recordings import CommandLine, Recording, ended_sessions
 
 #: Seconds that the lamp is on, off, on: two flashes of different length, unlike any reflection, and
 #: not a whole number of frames, so that each edge has another phase of the shutter.
@@ -571,8 +571,7 @@ def _filmed_until(recording: Recording, lines: list[CommandLine]) -> dict[int, f
     tracking does not depend on the video.
     """
     until = {line.session: math.inf for line in lines}
-    ended = {line.session for line in lines if line.kind == "end"}
-    for session in until.keys() - ended:
+    for session in until.keys() - ended_sessions(lines):
         lost = recording.lost_film(session)
         if lost > 0:
             last = max(line.time for line in lines if line.session == session)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import datetime
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -468,6 +468,11 @@ def read_markers(path: str | Path) -> dict[str, Any]:
 def write_markers(path: str | Path, markers: Mapping[str, Any]) -> None:
     """Write a markers file, whole or not at all."""
     write_json(path, MARKERS_FORMAT, VERSION, dict(markers))
+
+
+def ended_sessions(lines: Iterable[CommandLine]) -> set[int]:
+    """Return the sessions that ended normally, of rows of :meth:`Recording.commands`."""
+    return {line.session for line in lines if line.kind == "end"}
 
 
 def _command_columns(takes: Commands) -> tuple[str, ...]:
