@@ -131,7 +131,7 @@ def minimise(parameters: Sequence[Tensor], loss: Callable[[], Any], *, steps: in
 
     Args:
         parameters: its arguments; they are changed.
-        loss: returns its value, and sets the arguments' gradients anew.
+        loss: returns its value, and sets new gradients of the arguments.
         steps: most iterations.
     """
     optimiser = _LBFGS(list(parameters), max_iter=steps, line_search_fn="strong_wolfe")
