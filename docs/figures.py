@@ -207,15 +207,17 @@ def pages() -> list[Path]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    ways = parser.add_subparsers(dest="way")
-    ways.add_parser("write")
-    how = ways.add_parser("measure")
-    how.add_argument("name")
-    how.add_argument("words", nargs=argparse.REMAINDER, metavar="benchmarks/FILE.py [OPTIONS]")
+    actions = parser.add_subparsers(dest="action")
+    actions.add_parser("write")
+    measuring = actions.add_parser("measure")
+    measuring.add_argument("name")
+    measuring.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="benchmarks/FILE.py [OPTIONS]"
+    )
     options = parser.parse_args()
-    if options.way == "measure":
+    if options.action == "measure":
         measure(options.name, options.words)
-    elif options.way == "write":
+    elif options.action == "write":
         for page in pages():
             text = page.read_text(encoding="utf-8")
             if (new := written(text)) != text:

@@ -120,7 +120,7 @@ def _first(command: click.Command) -> str:
 
 
 def _help(words: list[str]) -> str:
-    """Return what a command prints for --help, as Markdown; nothing if it prints an error."""
+    """Return the --help of a command as Markdown; nothing if it prints an error."""
     usual = click.Context.formatter_class
     click.Context.formatter_class = MarkdownHelp
     try:
@@ -239,7 +239,7 @@ def _all_of(parts: list[type]) -> list[type]:
 
 
 def _keys(struct: type, parts: list[type]) -> str:
-    """Return what a format is and a table of its keys; append formats that it consists of."""
+    """Return a format's description and a table of its keys; append formats that it consists of."""
     info, meanings = msgspec.inspect.type_info(struct), documented(struct)
     text = _prose(struct.__doc__ or "")
     rows = [
@@ -328,7 +328,7 @@ def python() -> dict[str, str]:
 
 
 def _parts(name: str, folder: Path) -> list[str]:
-    """Return what a package offers: the names that it declares, or else its public modules."""
+    """Return the public names of a package: those that it declares, or else its public modules."""
     package = importlib.import_module(name)
     if hasattr(package, "__all__"):
         offered = [each for each in package.__all__ if callable(getattr(package, each))]

@@ -1,6 +1,7 @@
 """Messages, help, docstrings and names are plain English: some words and patterns are errors."""
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -14,9 +15,21 @@ from neurosim.cli.main import cli
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted(path for name in ("neurosim", "tracking") for path in (ROOT / name).rglob("*.py"))
 NAMED = FILES + sorted(
-    path for name in ("benchmarks", "tests") for path in (ROOT / name).rglob("*.py")
+    path
+    for name in ("benchmarks", "docs", "examples", "firmware", "tests")
+    for path in (ROOT / name).rglob("*.py")
 )
+NAMED += sorted((ROOT / "notebooks").glob("*.ipynb"))
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def code(path):
+    """Return the code of a file, or of a notebook's cells."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".ipynb":
+        return text
+    cells = json.loads(text)["cells"]
+    return "\n".join("".join(one["source"]) for one in cells if one["cell_type"] == "code")
 
 
 def texts(source):
@@ -66,7 +79,7 @@ def test_docstrings():
     hits = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {hit.group()!r} in {text[:100]}"
         for path in NAMED
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(code(path)))
         if isinstance(node, DOCUMENTED)
         and (text := " ".join((ast.get_docstring(node) or "").split()))
         if (hit := NOT_IN_DOCSTRINGS.search(text))
@@ -104,7 +117,7 @@ def test_names():
     hits = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in NAMED
-        for line, name in names(path.read_text(encoding="utf-8"))
+        for line, name in names(code(path))
         if name not in NAMES and NOT_IN_NAMES & set(name.lower().split("_"))
     ]
     assert not hits

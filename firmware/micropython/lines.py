@@ -78,8 +78,8 @@ class Lines:
             self.stop()
         elif request == "read":
             left = 0 if self.ends is None else self.ends - self.now
-            told = [self.now & 0xFFFFFFFF, left] + list(self.robot.values())
-            answer = " ".join(["read"] + [str(value) for value in told])
+            values = [self.now & 0xFFFFFFFF, left] + list(self.robot.values())
+            answer = " ".join(["read"] + [str(value) for value in values])
         elif not star:
             answer = "error checksum"  # requests that move the robot need one
         elif request == "drive":

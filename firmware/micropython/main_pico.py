@@ -16,16 +16,16 @@ class Wheel:
     def __init__(self, pwm, forward, back, encoder):
         self.pwm, self.forward, self.back = PWM(Pin(pwm)), Pin(forward, Pin.OUT), Pin(back, Pin.OUT)
         self.pwm.freq(1000)
-        self.count, self.way = 0, 1
+        self.count, self.direction = 0, 1
         self.encoder = Pin(encoder, Pin.IN, Pin.PULL_UP)
         self.encoder.irq(self.pressed, Pin.IRQ_RISING)
 
     def pressed(self, pin):
-        self.count += self.way
+        self.count += self.direction
 
     def turn(self, percent):
         if percent:
-            self.way = 1 if percent > 0 else -1  # kept while the motor coasts
+            self.direction = 1 if percent > 0 else -1  # kept while the motor coasts
         self.forward.value(percent > 0)
         self.back.value(percent < 0)
         self.pwm.duty_u16(int(abs(percent) * 655.35))
