@@ -138,7 +138,7 @@ class TableSimulator(Simulator):
             if table is not None and sense in self.senses
         }
 
-    @property
+    @cached_property
     def reading_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the sensors: of proximity, then of ambient light."""
         return tuple(
