@@ -132,3 +132,37 @@ def test_a_wav_file(tmp_path):
         file.writeframes(bytes(4000))
     with pytest.raises(FileError, match=r"is sound alone \(WAV\)"):
         Video(tmp_path / "a.wav")
+
+
+def chunks(data):
+    """Give the places of an AVI's frames in its bytes: first and last."""
+    at = data.index(b"movi") + 4
+    while data[at : at + 4] == b"00dc":
+        (size,) = struct.unpack("<I", data[at + 4 : at + 8])
+        yield at + 8, at + 8 + size
+        at += 8 + size + size % 2
+
+
+def test_motion_jpeg_is_decoded_as_ffmpeg_does_and_cut_frames_by_ffmpeg(tmp_path, frames):
+    path = write(tmp_path / "a.avi", frames, "MJPG")
+    data = bytearray(path.read_bytes())
+    places = list(chunks(data))
+    assert len(places) == FRAMES
+    first, last = places[5]
+    left = (last - first) // 2 & ~1
+    junk = b"JUNK" + struct.pack("<I", last - first - left - 8)  # in place of the lower half
+    data[first - 4 : first] = struct.pack("<I", left)
+    data[first + left : first + left + 8] = junk
+    cut = sum(places[-3]) // 2
+    path.write_bytes(data[:cut])
+    capture = cv2.VideoCapture(str(path))
+    expected = [capture.read()[1] for _ in range(FRAMES)]
+    with Video(path) as video:
+        seen = list(video)
+        assert np.array_equal(video.at(7), expected[7])
+    assert len(seen) == sum(frame is not None for frame in expected) == FRAMES - 2
+    for (index, time, frame), other in zip(seen, expected, strict=False):
+        assert time == pytest.approx(index / 30, abs=1e-3)
+        apart = np.abs(frame.astype(int) - other)  # at edges, colours are interpolated otherwise
+        assert apart.max() <= (0 if index in (5, FRAMES - 3) else 50)
+        assert apart.mean() < 1
