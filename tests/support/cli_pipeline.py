@@ -46,7 +46,7 @@ def stages(folder: Path) -> dict[str, dict]:
     steps = {
         "photographs": "lab photographs photographs --count 8",
         "calibrate": "calibrate photographs --square 40 --points photographs/points.csv",
-        "record": "record recording --commands 60 --calibration calibration.json --seed 4",
+        "record": "record recording --commands 60 --fps 20 --calibration calibration.json --seed 4",
         "track": "track recording",
         "dataset": "dataset recording -o dataset",
         "train": "train dataset -o simulator --seed 1 --members 4",
