@@ -7,8 +7,8 @@ compared with drives in the tables from the same starts. For discrimination, oth
 cylinder at random places, as in the environment ErDiscrim of evorobotpy2; nothing was evolved
 there.
 
-    neurosim sample S3 --light --cylinders 27.5,12.5 --grid 5 --baud 38400 --lab-seed 3
-    python benchmarks/kinds.py S3                        two minutes a robot, without the sampling
+    neurosim sample S7 --light --cylinders 27.5,12.5 --grid 5 --baud 38400 --lab-seed 7
+    python benchmarks/kinds.py S7                        two minutes a robot, without the sampling
 """
 
 from __future__ import annotations
@@ -56,7 +56,13 @@ def main() -> None:
                 rows.append(row)
                 print(row, file=sys.stderr, flush=True)
     if options.json:
-        print(json.dumps({"rows": rows}))
+        predicted = [row["tables_success"] for row in rows]
+        summary = {
+            "succeeded": sum(row["lab_success"] for row in rows),
+            "drives": sum(row["drives"] for row in rows),
+            "predicted": [min(predicted), max(predicted)],
+        }
+        print(json.dumps({"rows": rows, **summary}))
         return
     print("task             place       success: tables     lab      fitness: tables    lab")
     for row in rows:
