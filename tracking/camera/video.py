@@ -7,6 +7,7 @@ import queue
 import shlex
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 # A cut-off file is normal and reported here; FFmpeg's own messages would hide the report.
@@ -101,16 +102,27 @@ class Video:
         self._queue: queue.Queue = queue.Queue(maxsize=AHEAD)
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
+        # It starts threads when it is used.
+        self._decoders = ThreadPoolExecutor(min(os.cpu_count() or 1, 4), "jpeg")
 
     def __iter__(self) -> Iterator[tuple[int, float, NDArray]]:
         if self._thread is not None:
             raise RuntimeError("a Video is read once; open it again")
         self._thread = threading.Thread(target=self._decode, name="video decoder", daemon=True)
         self._thread.start()
+        before = -np.inf
         while (item := self._queue.get()) is not None:
             if isinstance(item, BaseException):
                 raise item
-            yield item
+            index, time, frame = item
+            if isinstance(frame, Future):
+                # FFmpeg repairs frames that are damaged or cut off.
+                frame = self.at(index) if (seen := frame.result()) is None else seen
+                if frame is None:
+                    self.missing = self._missing(index, before)
+                    return
+            yield index, time, frame
+            before = time
 
     def at(self, index: int) -> NDArray | None:
         """Return one frame, BGR [H, W, 3] uint8, before the video is read; None without it."""
@@ -131,6 +143,7 @@ class Video:
                 except queue.Empty:
                     continue
             self._thread.join()
+        self._decoders.shutdown()
         self._capture.release()
         if self._jpegs is not None:
             self._jpegs.release()
@@ -155,7 +168,7 @@ class Video:
                 time = self._time(index, time)
                 self._queue.put((index, time, frame))
                 index += 1
-                frame = self._read(index)
+                frame = self._read()
                 if frame is None:
                     self.missing = self._missing(index, time)
                     break
@@ -163,17 +176,13 @@ class Video:
             last = error
         self._queue.put(last)
 
-    def _read(self, index: int) -> NDArray | None:
-        """Return the next frame, which has this index; None after the last."""
+    def _read(self) -> NDArray | Future | None:
+        """Return the next frame, or one that is being decoded; None after the last."""
         if self._jpegs is None:
             good, frame = self._capture.read()
             return frame if good else None
         good, data = self._jpegs.read()
-        if not good:
-            return None
-        frame = _decoded(data)
-        # FFmpeg repairs frames that are damaged or cut off.
-        return self.at(index) if frame is None else frame
+        return self._decoders.submit(_decoded, data) if good else None
 
     def _time(self, index: int, before: float) -> float:
         if self._times is not None:
