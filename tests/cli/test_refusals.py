@@ -166,14 +166,14 @@ def test_a_khepera_that_is_not_reached(refused, options, why):
     [
         (["--lab-seed", "1"], "virtual_lab.robot_seed"),
         (["--camera-size", "320x240"], "pictures of 640x480"),
-        (["--fps", "20"], "camera.fps"),
+        (["--fps", "30"], "camera.fps"),
         (["--lamp", "color:3"], "robot.ports.lamp"),
         (["--seed", "9"], "settings.source.seed"),
     ],
 )
 def test_a_recording_resumed_as_another(refused, copy, options, names):
     edit(copy("recording") / "recording.json", '"complete": true', '"complete": false')
-    words = ["record", "recording", "--commands", "60", "--seed", "4", "--resume"]
+    words = ["record", "recording", "--commands", "60", "--fps", "20", "--seed", "4", "--resume"]
     assert names in refused(*words, *options)
 
 
