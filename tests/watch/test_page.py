@@ -98,13 +98,18 @@ def tab(tmp_path_factory):
 
 
 def click_picture(tab, pixel):
+    """Click on a pixel of the picture, once its place on the page stays the same for a frame."""
     u, v = (float(place) for place in pixel)
-    tab.click(*tab.run(
-        "(() => { const c = document.getElementById('picture');"
+    before = None
+    while (place := tab.run(
+        "new Promise(done => requestAnimationFrame(() => {"
+        "const c = document.getElementById('picture');"
         "c.scrollIntoView({block: 'nearest'}); const b = c.getBoundingClientRect();"
-        f"return [b.x + ({u} + 0.5) * b.width / c.width, b.y + ({v} + 0.5) * b.height / c.height];"
-        "})()"
-    ))  # fmt: skip
+        f"done([b.x + ({u} + 0.5) * b.width / c.width, b.y + ({v} + 0.5) * b.height / c.height]);"
+        "}))"
+    )) != before:  # fmt: skip
+        before = place
+    tab.click(*place)
 
 
 STATUS = "document.getElementById('status').textContent"
