@@ -152,7 +152,7 @@ def changed(
     default="default",
     show_default=True,
     help="Plans: paper has the settings of Table 1 of Pretorius et al. 2009, such as a tournament "
-    "of 50. With these, twice as many runs find no plan.",
+    "of 50. With these, more runs find no plan.",
 )
 @click.option(
     "--robust",
