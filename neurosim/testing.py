@@ -663,5 +663,5 @@ def _refuses(what: str, function: Callable[..., Any], *values: Any) -> None:
     except UserError:
         return
     raise AssertionError(
-        f"{what} must be refused with a UserError: commands.check(command) does this"
+        f"{what} must raise a UserError: commands.check(command) does this"
     )

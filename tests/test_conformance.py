@@ -174,7 +174,7 @@ class Careless(Khepera):
         (Unnamed, "must say the robot's kind"),
         (Backwards, "must count up on both wheels"),
         (Raw, "a reading lies in 0 to 1, but sensor_0 is"),
-        (Careless, r"drive\(\[101.0, 20.0\]\) must be refused"),
+        (Careless, r"drive\(\[101.0, 20.0\]\) must raise a UserError"),
     ],
 )
 def test_a_driver_that_is_wrong(kind, says):
