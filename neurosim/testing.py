@@ -662,6 +662,4 @@ def _refuses(what: str, function: Callable[..., Any], *values: Any) -> None:
         function(*values)
     except UserError:
         return
-    raise AssertionError(
-        f"{what} must raise a UserError: commands.check(command) does this"
-    )
+    raise AssertionError(f"{what} must raise a UserError: commands.check(command) does this")
