@@ -97,14 +97,14 @@ def track(
     parts: list[Poses] = []
     tracks: list[tuple[str | Path, Track]] = []
     sessions = []
-    paths = _videos(source, videos)
+    paths, normally_ended = _videos(source, videos), ended_sessions(lines)
     for session, path in enumerate(paths, start=1):
         if not any(line.session == session and line.kind == "command" for line in lines):
             # Interrupted before its first command: there may not even be a video.
             sessions.append({"session": session, "left_out": "no command was sent"})
             continue
         times = source.frame_times(session)
-        ended = session in ended_sessions(lines)
+        ended = session in normally_ended
         resumed = not ended and session < len(paths) and session not in (live or {})
         if resumed and _holds_nothing(path):
             # Killed before its first frame was written; --resume sent its commands again.

@@ -73,10 +73,6 @@ SHORTER = {
 }
 
 
-def code_cells(notebook):
-    return [cell for cell in notebook.cells if cell.cell_type == "code"]
-
-
 def test_there_are_notebooks():
     assert NOTEBOOKS
 

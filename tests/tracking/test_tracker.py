@@ -244,7 +244,7 @@ def test_the_light_may_change(shared_data, colours, light):
                 break
     if light(0) < 1:
         for dim, bright in zip(tracker.seen_colours, steady.seen_colours, strict=True):
-            assert dim.confidence > 0.75 * bright.confidence
+            assert dim.confidence > 0.8 * bright.confidence
 
 
 @pytest.mark.parametrize("grey", [0, 2, 6])

@@ -7,7 +7,6 @@ import queue
 import shlex
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 # A cut-off file is normal and reported here; FFmpeg's own messages would hide the report.
@@ -33,6 +32,9 @@ _CONVERT = "convert it to H.264, with ffmpeg -i {} -c:v libx264 -crf 18 {}"
 #: count and round differently.
 _LEAST_MISSING = 3
 
+#: Codec and pixels of Motion JPEG with full resolution of colour, as recordings have it: FFmpeg
+#: takes twice as long as OpenCV's JPEG decoder. With less resolution of colour it is faster.
+_FULL_COLOUR = cv2.VideoWriter.fourcc(*"MJPG"), cv2.VideoWriter.fourcc(*"444P")
 #: Of a capture: to read frames without decoding them.
 _UNDECODED = (cv2.CAP_PROP_FORMAT, -1)
 #: Frames decoded ahead: enough to bridge a full search, little enough to hold in memory.
@@ -84,16 +86,15 @@ class Video:
         if not good:
             self._capture.release()
             raise FileError(self.path, _undecodable(self.path, code))
-        #: Undecoded frames: OpenCV decodes JPEG in 40 % of FFmpeg's time.
-        self._jpegs: cv2.VideoCapture | None = None
-        if code == cv2.VideoWriter.fourcc(*"MJPG"):
-            self._jpegs = cv2.VideoCapture(check_name(self.path), cv2.CAP_FFMPEG, _UNDECODED)
-            good, data = self._jpegs.read()
+        #: Gives the frames one after the other; those of recordings undecoded.
+        self._reader = self._capture
+        pixels = int(self._capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
+        if (code, pixels) == _FULL_COLOUR:
+            reader = cv2.VideoCapture(check_name(self.path), cv2.CAP_FFMPEG, _UNDECODED)
+            good, data = reader.read()
             frame = _decoded(data) if good else None
             if frame is not None and frame.shape == self.first.shape:
-                self.first = frame
-            else:
-                self._jpegs = None
+                self._reader, self.first = reader, frame
         self.size = (self.first.shape[1], self.first.shape[0])
         self.fps = self._claimed(cv2.CAP_PROP_FPS) or 30.0
         self.frames = int(self._claimed(cv2.CAP_PROP_FRAME_COUNT))
@@ -102,27 +103,16 @@ class Video:
         self._queue: queue.Queue = queue.Queue(maxsize=AHEAD)
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
-        # It starts threads when it is used.
-        self._decoders = ThreadPoolExecutor(min(os.cpu_count() or 1, 4), "jpeg")
 
     def __iter__(self) -> Iterator[tuple[int, float, NDArray]]:
         if self._thread is not None:
             raise RuntimeError("a Video is read once; open it again")
         self._thread = threading.Thread(target=self._decode, name="video decoder", daemon=True)
         self._thread.start()
-        before = -np.inf
         while (item := self._queue.get()) is not None:
             if isinstance(item, BaseException):
                 raise item
-            index, time, frame = item
-            if isinstance(frame, Future):
-                # FFmpeg repairs frames that are damaged or cut off.
-                frame = self.at(index) if (seen := frame.result()) is None else seen
-                if frame is None:
-                    self.missing = self._missing(index, before)
-                    return
-            yield index, time, frame
-            before = time
+            yield item
 
     def at(self, index: int) -> NDArray | None:
         """Return one frame, BGR [H, W, 3] uint8, before the video is read; None without it."""
@@ -143,10 +133,8 @@ class Video:
                 except queue.Empty:
                     continue
             self._thread.join()
-        self._decoders.shutdown()
+        self._reader.release()
         self._capture.release()
-        if self._jpegs is not None:
-            self._jpegs.release()
 
     def __enter__(self) -> Video:
         return self
@@ -168,7 +156,7 @@ class Video:
                 time = self._time(index, time)
                 self._queue.put((index, time, frame))
                 index += 1
-                frame = self._read()
+                frame = self._read(index)
                 if frame is None:
                     self.missing = self._missing(index, time)
                     break
@@ -176,18 +164,19 @@ class Video:
             last = error
         self._queue.put(last)
 
-    def _read(self) -> NDArray | Future | None:
-        """Return the next frame, or one that is being decoded; None after the last."""
-        if self._jpegs is None:
-            good, frame = self._capture.read()
+    def _read(self, index: int) -> NDArray | None:
+        """Return the next frame, which has this index; None after the last."""
+        good, frame = self._reader.read()
+        if not good or self._reader is self._capture:
             return frame if good else None
-        good, data = self._jpegs.read()
-        return self._decoders.submit(_decoded, data) if good else None
+        picture = _decoded(frame)
+        # FFmpeg repairs frames that are damaged or cut off.
+        return self.at(index) if picture is None else picture
 
     def _time(self, index: int, before: float) -> float:
         if self._times is not None:
             return float(self._times[index])
-        stamp = (self._jpegs or self._capture).get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+        stamp = self._reader.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
         if index == 0:
             return stamp if np.isfinite(stamp) and stamp >= 0 else 0.0
         # Some containers have no times, or restart them: then the frame rate is used.
