@@ -87,7 +87,7 @@ def test_it_is_stored_with_its_outputs(path):
     again = f"run it and store its outputs: python docs/run_notebooks.py notebooks/{path.name}"
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    cells = code_cells(notebook)
+    cells = run_notebooks.code_cells(notebook)
     assert notebook.metadata["outputs_of"] == run_notebooks.digest(notebook), again
     assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)], again
     assert not [cell.source for cell in cells if shows(cell) and not cell.outputs], again
@@ -123,7 +123,7 @@ def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
         monkeypatch.setenv(name, str(tmp_path))
     monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
     notebook = run_notebooks.run(path, PATIENCE, SHORTER.get(path.stem))
-    outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
+    outputs = [output for cell in run_notebooks.code_cells(notebook) for output in cell.outputs]
     assert not [output for output in outputs if output.output_type == "error"]
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
     assert len(pictures) >= FEWEST_PICTURES
@@ -133,6 +133,6 @@ def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
 def test_away_from_the_reference_dataset_it_says_so(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (path,) = (path for path in NOTEBOOKS if path.stem == "nxt_planner")
-    first = code_cells(nbformat.read(path, as_version=4))[0].source
+    first = run_notebooks.code_cells(nbformat.read(path, as_version=4))[0].source
     with pytest.raises(FileNotFoundError, match="run this notebook in neurosim's own folder"):
         exec(first, {})
