@@ -9,6 +9,7 @@ them over whole trajectories. If the place has a perimeter, :meth:`Task.new_reco
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from copy import copy
@@ -409,20 +410,27 @@ def _intervals(
     if trajectory.segment is not None:
         ends = np.append(np.diff(trajectory.segment) > 0, True)
 
-    def at(values: Any, step: int) -> Any:
-        """Return values [..., T, ...] of one step, [B, ...]; one for all remains one for all."""
-        if values is None or not np.ndim(values):
-            return values
-        own = np.take(values, step, axis=min(len(shape), np.ndim(values) - 1))
-        return own.reshape(count, *own.shape[len(shape) :]) if own.ndim else own.item()
+    def by_step(values: Any) -> Any:
+        """Return values [..., T, ...] as [T, B, ...]; those for all trials remain [T], or one.
 
-    for step in range(steps):
-        yield Interval(
-            np.ascontiguousarray(poses[:, step + 1]),
-            at(trajectory.durations, step),
-            True if trajectory.active is None else at(trajectory.active, step),
-            bool(ends[step]),
-            at(trajectory.commands, step) if "commands" in wanted else None,
-            at(trajectory.readings, step) if "readings" in wanted else None,
-            at(trajectory.touching, step),
-        )
+        They are views: a copy takes as long as a rollout.
+        """
+        if values is None or not np.ndim(values):
+            return itertools.repeat(values)
+        if np.ndim(values) == 1:
+            return values.tolist()
+        after = np.shape(values)[len(shape) + 1 :]
+        return np.moveaxis(values, len(shape), 0).reshape(steps, count, *after)
+
+    rows = zip(
+        np.moveaxis(poses[:, 1:], 1, 0),
+        by_step(trajectory.durations),
+        itertools.repeat(True) if trajectory.active is None else by_step(trajectory.active),
+        ends.tolist(),
+        by_step(trajectory.commands if "commands" in wanted else None),
+        by_step(trajectory.readings if "readings" in wanted else None),
+        by_step(trajectory.touching),
+        strict=False,
+    )
+    for row in rows:
+        yield Interval(*row)

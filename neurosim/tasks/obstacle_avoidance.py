@@ -109,8 +109,7 @@ class ObstacleAvoidance(Task):
         assert interval.readings is not None
         assert interval.commands is not None
         steps = np.broadcast_to(np.divide(interval.duration, self.duration), len(record))
-        readings = np.ascontiguousarray(interval.readings)
-        _add(readings, np.ascontiguousarray(interval.commands), steps.copy(), record)
+        _add(interval.readings, interval.commands, steps.copy(), record)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return the sum of equation (1), or the number of visited squares."""
