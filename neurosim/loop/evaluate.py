@@ -36,10 +36,9 @@ from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 
-#: Largest number of poses of trajectories computed at once, so that closed loops of usual size stay
-#: in the processor's cache.
-POSES_AT_ONCE = 500_000
-SEEING_AT_ONCE = 110_000
+#: Largest number of poses of trajectories that are computed at once: tens of megabytes with readings.
+#: With many more, new memory takes time; with many fewer, the calls of a task at each step do.
+POSES_AT_ONCE = 400_000
 #: Fewer steps than this take a core about a millisecond, less than their distribution may cost.
 _WORTH_SHARING = 10_000
 
@@ -199,10 +198,7 @@ class Evaluator:
 
     def _parts(self, individuals: int, samples: int) -> Iterator[slice]:
         """Cut individuals into parts whose trajectories are computed at once."""
-        at_once, steps = SEEING_AT_ONCE, self.episode.steps
-        if self.controller.open_loop:
-            at_once, steps = POSES_AT_ONCE, self.steps
-        batch = max(at_once // (samples * (steps + 1)), 1)
+        batch = max(POSES_AT_ONCE // (samples * (self.steps + 1)), 1)
         return (slice(first, first + batch) for first in range(0, individuals, batch))
 
     @cached_property
