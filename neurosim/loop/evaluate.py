@@ -36,8 +36,8 @@ from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 
-#: Largest number of poses of trajectories that are computed at once: tens of megabytes with readings.
-#: With many more, new memory takes time; with many fewer, the calls of a task at each step do.
+#: Largest number of poses of trajectories that are computed at once: tens of megabytes. With many
+#: more, new memory takes time; with many fewer, the calls of a task at each step do.
 POSES_AT_ONCE = 400_000
 #: Fewer steps than this take a core about a millisecond, less than their distribution may cost.
 _WORTH_SHARING = 10_000
