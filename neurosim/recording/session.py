@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import NoReturn
@@ -56,6 +56,9 @@ WRITTEN_LATE = 2.0
 ARC = 1.2
 #: Distance from the goal at which a return by position ends, m.
 NEAR = 0.25
+#: A robot that does not come nearer to its goal by this distance, m, in this number of manoeuvres
+#: is stuck: in straight pieces, and by arcs, on which it also drives back and forth.
+CLOSER, PIECES, ARCS = 0.02, 12, 60
 
 
 class CameraLost(UserError):
@@ -431,13 +434,10 @@ class Session:
         if not self._takes.turns_on_the_spot:
             self._return_by_arcs(goal)
             return
-        for _ in range(12):
-            pose = self._pose()
+        for pose, distance in self._way_to(goal, PIECES):
             if pose is None:
                 self._return_inside()
                 return
-            to_goal = goal - pose[:2]
-            distance = float(np.hypot(*to_goal))
             if distance < NEAR:
                 self._turn(float(self._rng.uniform(-math.pi, math.pi)))
                 return
@@ -459,18 +459,31 @@ class Session:
         arcs = {self._takes.toward(sign * speed, turn) for sign in (1, -1) for turn in turns}
         choices = sorted(arcs)
         twists = self._takes.twist(np.array(choices))
-        for _ in range(60):
-            pose = self._pose()
+        for pose, distance in self._way_to(goal, ARCS):
             if pose is None:
                 self._return_inside()
                 return
-            if float(np.hypot(*(goal - pose[:2]))) < NEAR:
+            if distance < NEAR:
                 return
             ends = se2.compose(pose, se2.exp(twists * ARC))
             outside = np.maximum([self._perimeter.beyond(end) for end in ends], 0.0)
             costs = np.hypot(*(ends[:, :2] - goal).T) + 10.0 * outside
             self._manoeuvre(choices[int(costs.argmin())], ARC / 2, look=False)
         self._give_up()
+
+    def _way_to(self, goal: NDArray, tries: int) -> Iterator[tuple[NDArray | None, float]]:
+        """Give the robot's pose, None if it is not seen, and its distance from a goal [2], m.
+
+        They are asked for before each manoeuvre. They end if the robot comes no nearer.
+        """
+        nearest, left = math.inf, tries
+        while left:
+            pose = self._pose()
+            distance = math.inf if pose is None else math.dist(goal, pose[:2])
+            if distance < nearest - CLOSER:
+                nearest, left = distance, tries
+            left -= 1
+            yield pose, distance
 
     def _return_from_line(self) -> None:
         """Drive from the line over the robot's former positions and beyond, then turn at random.

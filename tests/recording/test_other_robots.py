@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neurosim.lab import VirtualLinesRig, VirtualRosRig, read_truth
+from neurosim.lab import VirtualLinesRig, VirtualRosRig, VirtualThymioRig, read_truth
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.recording.settings import Rig
@@ -99,3 +99,24 @@ def test_the_dataset_says_how_it_moves(made, tmp_path):
     assert np.corrcoef(ideal[:, 2], turned)[0, 1] > 0.95
     previous = dataset.table[[f"prev_{name}" for name in names]].to_numpy()
     assert np.abs(previous).max() > 0
+
+
+def test_a_slow_robot_returns_from_a_corner_of_a_large_board(tmp_path):
+    with VirtualThymioRig(1, camera_size=SIZE, start=(1.1, 0.8, 0.6), fps=15) as rig:
+        optics = rig.camera.optics
+        CameraModel(
+            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        ).write(tmp_path / "calibration.json")
+        rig.robot.connect()
+        recording = record(
+            tmp_path / "recording",
+            Rig.of_lab(rig),
+            RandomCommands(seed=3),
+            RecordSettings(5, guard=Guard(by="position", speed=30.0)),
+            calibration=tmp_path / "calibration.json",
+        )
+    kinds = list(recording.commands()["kind"])
+    assert kinds.count("cut") >= 1
+    assert kinds.count("manoeuvre") > 50  # a few seconds at a time, a few centimetres each
+    last = read_truth(recording.path).poses[-1, :2]
+    assert np.hypot(*last) < np.hypot(1.1, 0.8) - 0.6
