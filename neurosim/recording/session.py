@@ -434,7 +434,7 @@ class Session:
         if not self._takes.turns_on_the_spot:
             self._return_by_arcs(goal)
             return
-        for pose, distance in self._way_to(goal, PIECES):
+        for pose, distance in self._approach(goal, PIECES):
             if pose is None:
                 self._return_inside()
                 return
@@ -459,7 +459,7 @@ class Session:
         arcs = {self._takes.toward(sign * speed, turn) for sign in (1, -1) for turn in turns}
         choices = sorted(arcs)
         twists = self._takes.twist(np.array(choices))
-        for pose, distance in self._way_to(goal, ARCS):
+        for pose, distance in self._approach(goal, ARCS):
             if pose is None:
                 self._return_inside()
                 return
@@ -471,7 +471,7 @@ class Session:
             self._manoeuvre(choices[int(costs.argmin())], ARC / 2, look=False)
         self._give_up()
 
-    def _way_to(self, goal: NDArray, tries: int) -> Iterator[tuple[NDArray | None, float]]:
+    def _approach(self, goal: NDArray, tries: int) -> Iterator[tuple[NDArray | None, float]]:
         """Give the robot's pose, None if it is not seen, and its distance from a goal [2], m.
 
         They are asked for before each manoeuvre. They end if the robot comes no nearer.
