@@ -128,13 +128,13 @@ def track(
         certain = np.where(seen.doubtful[:, None], np.nan, poses)
         own = [line for line in lines if line.session == session]
         driven = [line for line in own if line.is_motor]
-        problem = None
+        problem, whole = None, ended and times is not None
         try:
             if sync == "motion":
-                clock = fit_clock_to_motion(seen.time, certain, driven)
+                clock = fit_clock_to_motion(seen.time, certain, driven, whole=whole)
             else:
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
-                problem = disagreement(clock, seen.time, certain, driven)
+                problem = disagreement(clock, seen.time, certain, driven, whole=whole)
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
         at = clock.to_robot(seen.time)

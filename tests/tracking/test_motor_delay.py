@@ -104,6 +104,17 @@ def test_long_commands_that_differ_little_are_no_two_places():
     assert abs(fit_clock_to_motion(times, poses, lines).offset) < 0.01
 
 
+def test_a_video_recorded_with_its_commands_shows_all_of_them():
+    """A network that turns, drives on and turns again: half of it resembles the other half."""
+    turn = np.repeat([15.0, 0.0, 15.0, 10.0], [4, 5, 4, 2])
+    lines = [MotorLine(1.6 + k, -25.0 - w, -25.0 + w) for k, w in enumerate(turn)]
+    lines.append(MotorLine(16.6, 0.0, 0.0))
+    times, poses = drive(lines, 0.0, 3)
+    with pytest.raises(UserError, match="the clock is ambiguous"):
+        fit_clock_to_motion(times, poses, lines)
+    assert abs(fit_clock_to_motion(times, poses, lines, whole=True).offset) < 0.01
+
+
 @pytest.mark.parametrize(("off", "says"), [(0.1, "100 ms later"), (-3.0, "3000 ms earlier")])
 def test_flashes_that_are_mistaken_are_noticed(off, says):
     lines = commands(30, 7)

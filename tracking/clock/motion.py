@@ -27,6 +27,9 @@ from tracking.clock.sync import ClockFit
 
 #: Duration of the commands that are searched in a video, s.
 TEMPLATE = 120.0
+#: Smallest part of the commands that is in a video: a small one would agree with any motion. Of a
+#: video that was recorded with the commands only its very ends may be missing.
+IN_VIDEO, IN_WHOLE = 0.5, 0.9
 #: Smallest correlation of motion and commands, and largest fraction of it at a second position in
 #: the video.
 LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
@@ -38,7 +41,9 @@ STRETCH = 60.0
 MOST_APART = 0.06
 
 
-def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]) -> ClockFit:
+def fit_clock_to_motion(
+    times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine], *, whole: bool = False
+) -> ClockFit:
     """Find the robot's clock from commands and motion alone, without any flash.
 
     On this clock the motors begin to answer at the time of their command. The seen speeds are first
@@ -49,6 +54,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
         times: camera times [N] of the frames, s.
         poses: [N, 3], m, m, unwrapped rad; NaN where the robot was not seen.
         lines: commands sent to the motors in this session, in order.
+        whole: whether all of them are in the video, as in one that was recorded with them.
 
     Raises:
         UserError: if too few commands change the speeds, the motion does not follow the
@@ -61,7 +67,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
             f"the clock cannot be found from the motion: {len(changes)} commands and {len(times)} "
             "frames with the robot are too few"
         )
-    shift, drift = _place(times, signals, lines), 0.0
+    shift, drift = _place(times, signals, lines, IN_WHOLE if whole else IN_VIDEO), 0.0
     offsets: list[tuple[float, float, float]] = []  # robot time, shift, its standard deviation
     begin, last = float(changes[0, 0]), float(changes[-1, 0])
     while begin <= last:
@@ -107,8 +113,11 @@ _NO_MOTION = (
 )
 
 
-def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> float:
-    """Return the shift (robot minus camera time) at which seen and commanded speeds agree best."""
+def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine], in_video: float) -> float:
+    """Return the shift (robot minus camera time) at which seen and commanded speeds agree best.
+
+    At least the part ``in_video`` of the commands is in the video.
+    """
     step = max(float(np.median(np.diff(times))), 0.01)
     grid = np.arange(times[0], times[-1], step)
     seen = _speeds(times, signals, grid)
@@ -132,8 +141,7 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
         if wanted_power < 1e-9 or not moved.any():
             continue
         covered = slide(ones, wanted_speed**2)
-        # A small part of the commands would agree with any motion.
-        enough = covered > 0.5 * wanted_power
+        enough = covered > in_video * wanted_power
         power = np.maximum(covered * moved_power, 1e-12 * wanted_power * (moved @ moved))
         agreement += np.where(enough, slide(moved, wanted_speed) / np.sqrt(power), 0.0)
         channels += 1
@@ -216,7 +224,12 @@ def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float
 
 
 def disagreement(
-    clock: ClockFit, times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]
+    clock: ClockFit,
+    times: ArrayLike,
+    poses: ArrayLike,
+    lines: Sequence[MotorLine],
+    *,
+    whole: bool = False,
 ) -> str | None:
     """Return a sentence about the difference between the clocks of flashes and motion, if any.
 
@@ -224,10 +237,10 @@ def disagreement(
 
     Args:
         clock: by the flashes.
-        times, poses, lines: as in :func:`fit_clock_to_motion`.
+        times, poses, lines, whole: as in :func:`fit_clock_to_motion`.
     """
     try:
-        motion = fit_clock_to_motion(times, poses, lines)
+        motion = fit_clock_to_motion(times, poses, lines, whole=whole)
     except UserError:
         return None
     first = float(np.asarray(times, float)[0])
