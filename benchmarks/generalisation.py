@@ -1,15 +1,15 @@
 """Do networks that were evolved to avoid obstacles avoid them in arenas that they have not met?
 
 Networks are evolved in tables as in the paper (one arena, contacts are free) and in many arenas
-where a drive with a contact counts nothing; the best of several runs is kept. They then drive for
-60 s from random starts in ten new arenas, and so does a hand-written Braitenberg vehicle. Printed
-are the fraction of drives that touch something, and the fitness. With --lab-drives N, a robot of
-the virtual lab also drives N times in each arena. Up to --inner boards stand inside each arena;
-their ends and corners are seen less well than a wall. 0 leaves them out.
+where a contact ends the fitness; the best of several runs is kept. They then drive for 60 s from
+random starts in ten new arenas, and so does a hand-written Braitenberg vehicle. Printed are the
+fraction of drives that touch something, and the fitness. With --lab-drives N, a robot of the
+virtual lab also drives N times in each arena. Up to --inner boards stand inside each arena; their
+ends and corners are seen less well than a wall. 0 leaves them out.
 
     neurosim sample samples --grid 5 --repeats 2
     neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables
-    python benchmarks/generalisation.py tables             about twenty minutes
+    python benchmarks/generalisation.py tables             about ten minutes
     python benchmarks/generalisation.py tables --lab-drives 10
 """
 
@@ -50,7 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     tables = ns.load(options.tables)
     paper = ns.make_task("obstacle-avoidance")
-    many = ns.make_task("obstacle-avoidance", steps=6000, starts=20, contacts="fail")
+    many = ns.make_task("obstacle-avoidance", steps=6000, starts=20, contacts="end")
     network = ns.make_controller("network", tables, paper)
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
     vehicle, weights = braitenberg(tables.reading_names, tables.bearings)

@@ -39,7 +39,7 @@ class Unmet:
         if self.worse:
             text += (
                 f", more often than a hand-written vehicle (in {self.vehicle or 'none'} of them); "
-                "evolve with --arenas 100 --contacts fail, or more --runs"
+                "evolve with --arenas 100 --contacts end, or more --runs"
             )
         return f"{text}."
 

@@ -34,9 +34,8 @@ class ObstacleAvoidance(Task):
         starts: Number of random poses from which a trial starts, each with an equal part of the
             steps.
         duration: Duration of a step, s.
-        contacts: The cost of a contact: free, nothing, as in the paper; end: the time after the
-            first contact counts nothing; or fail: a drive with a contact counts nothing at all. On
-            a robot contacts are unknown.
+        contacts: The cost of a contact: free, nothing, as in the paper; or end: the time after the
+            first contact counts nothing. On a robot contacts are unknown.
         enough: Fitness from one start that counts as success; by default, for avoidance, half of
             its steps, and 0 for other fitness.
         place: Place of the trials, a JSON file or a name; by default that of the simulator.
@@ -50,7 +49,7 @@ class ObstacleAvoidance(Task):
     steps: Count = 500
     starts: Count = 5
     duration: Step = 0.1
-    contacts: Literal["free", "end", "fail"] = "free"
+    contacts: Literal["free", "end"] = "free"
     enough: Number | None = None
     place: Place | None = None
 
@@ -60,10 +59,8 @@ class ObstacleAvoidance(Task):
             raise UserError(
                 f"steps must be a multiple of starts: {self.steps} steps, {self.starts} starts"
             )
-        if self.contacts != "free" and self.fitness != "avoidance":
-            raise UserError(
-                f"contacts={self.contacts!r} needs fitness='avoidance', not {self.fitness!r}"
-            )
+        if self.contacts == "end" and self.fitness != "avoidance":
+            raise UserError(f"contacts='end' needs fitness='avoidance', not {self.fitness!r}")
 
     @property
     def trial_starts(self) -> int:  # type: ignore[override]
@@ -79,7 +76,7 @@ class ObstacleAvoidance(Task):
     def episode(self) -> Episode:
         """An equal part of the steps from each start; the robot is not stopped at the end."""
         steps = self.steps // self.starts
-        return Episode(self.duration, steps, readings=True, contacts=self.contacts != "free")
+        return Episode(self.duration, steps, readings=True, contacts=self.contacts == "end")
 
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator
@@ -107,7 +104,7 @@ class ObstacleAvoidance(Task):
         """Add an interval; nothing counts after a contact if contacts end a drive."""
         if self.fitness == "cells":
             return self._visit(record, interval.poses)
-        if self.contacts != "free" and interval.touching is not None:
+        if self.contacts == "end" and interval.touching is not None:
             record[:, 0] = (record[:, 0] > 0) | interval.touching
         assert interval.readings is not None
         assert interval.commands is not None
@@ -117,8 +114,6 @@ class ObstacleAvoidance(Task):
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return the sum of equation (1), or the number of visited squares."""
         fitness = record[:, 1]
-        if self.contacts == "fail":
-            fitness = np.where(record[:, 0] > 0, 0.0, fitness)
         return Judgement.of(fitness, fitness >= self.least)
 
     def _visit(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:

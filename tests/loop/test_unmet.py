@@ -47,7 +47,7 @@ def test_a_sensor_slows_the_wheel_on_the_other_side():
 
 def test_one_that_touches_more_than_a_hand_written_vehicle_is_not_passed_off_as_good():
     bad = "In arenas that it was not evolved in, it touches something in 18 of 20 drives"
-    hint = "evolve with --arenas 100 --contacts fail, or more --runs."
+    hint = "evolve with --arenas 100 --contacts end, or more --runs."
     vehicle = "more often than a hand-written vehicle"
     assert str(Unmet(20, 18, 30.0, 2)) == f"{bad}, {vehicle} (in 2 of them); {hint}"
     assert str(Unmet(20, 18, 30.0, 0)) == f"{bad}, {vehicle} (in none of them); {hint}"
