@@ -151,7 +151,8 @@ def test_every_parent_has_as_many_children():
     assert copies.tolist() == [0] * 16 + [5] * 4
 
 
-def test_networks_driven_part_by_part_are_driven_alike():
+def test_networks_driven_part_by_part_are_driven_alike(monkeypatch):
+    monkeypatch.setattr("neurosim.loop.evaluate.POSES_AT_ONCE", 110_000)
     evaluator = Evaluator(TableSimulator(made_up()), ObstacleAvoidance(steps=50), FAMILY)
     genes = np.random.default_rng(0).normal(0, 1, (407, 18))
     # Five trials, each from five starts, all of them met twice.
