@@ -13,6 +13,8 @@ from neurosim.base.errors import UserError
 from tracking.camera.camera_model import CameraModel
 from tracking.follow import Track
 from tracking.markers.pair import Geometry
+from tracking.markers.sought import sought
+from tracking.markers.tags import SMALLEST_CELL, Tag
 
 
 def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
@@ -36,6 +38,23 @@ def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry
         separation,
         markers.get("diameter"),
         position,
+    )
+
+
+def too_small(markers: Mapping[str, Any], camera: CameraModel) -> str | None:
+    """Return a sentence about a tag that is too small in the picture's middle; None: it is not."""
+    what = sought(markers)
+    if not isinstance(what, Tag):
+        return None
+    geometry = marker_geometry(markers, camera)
+    assert geometry.separation is not None
+    side = geometry.separation * geometry.pixels_per_unit(np.array(camera.image_size) / 2)
+    cell = side / len(what.cells)
+    if cell >= SMALLEST_CELL:
+        return None
+    return (
+        f"a cell of the tag is {cell:.1f} pixels wide in the picture, and {SMALLEST_CELL:g} are "
+        "needed: use larger frames, a larger tag, or a lower camera"
     )
 
 

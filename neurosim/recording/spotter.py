@@ -13,7 +13,7 @@ from tracking.camera.camera_model import CameraModel
 from tracking.live import LiveTracker, Seen
 from tracking.markers.palette import SeenColour, warning
 from tracking.markers.sought import sought
-from tracking.poses import marker_geometry, marker_poses
+from tracking.poses import marker_geometry, marker_poses, too_small
 
 #: Time without sight after which the user gets a message, s.
 WARN_AFTER = 0.5
@@ -56,6 +56,8 @@ class Spotter:
         self._warned = False
         self._judged = False
         self._others: frozenset[int] = frozenset()
+        if problem := too_small(markers, model):
+            say(problem)
         self._tracker = LiveTracker(
             sought(markers), marker_geometry(markers, model), now, self._look, waits=waits
         )

@@ -20,7 +20,7 @@ from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording, write_markers
 from tracking.markers.sought import sought, tracker_of
 from tracking.markers.tags import KINDS, Tag
-from tracking.poses import marker_geometry, marker_poses
+from tracking.poses import marker_geometry, marker_poses, too_small
 from tracking.track import track_video
 
 DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command((-50, -50), 0.5)])
@@ -146,3 +146,16 @@ def test_a_tag_of_the_lab_lies_on_the_robot(tmp_path):
         open_rig("virtual", {}, Setup(markers=markers)),
     ):
         pass
+
+
+@pytest.mark.parametrize(("size", "width"), [((640, 480), None), ((320, 240), "1.1 pixels")])
+def test_a_tag_that_is_too_small_in_the_picture(size, width):
+    tag, colours = marker_settings("apriltag", "virtual"), marker_settings(None, "virtual")
+    with open_rig("virtual", {}, Setup(size=size)) as rig:
+        optics = rig.camera.optics
+        seen_by = CameraModel(
+            size, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        )
+    assert too_small(colours, seen_by) is None
+    message = too_small(tag, seen_by)
+    assert message is None if width is None else f"a cell of the tag is {width} wide" in message

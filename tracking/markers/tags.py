@@ -16,6 +16,8 @@ KINDS = {"apriltag": "APRILTAG_36h11", "aruco": "4X4_50"}
 #: The number of a tag unless another one is given.
 DEFAULT_ID = 0
 
+#: Smallest width of a cell in a picture, pixels, with which tags are found.
+SMALLEST_CELL = 2.0
 #: The white around the black square, in cells: detectors need one.
 QUIET = 1.0
 
