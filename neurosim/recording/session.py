@@ -44,8 +44,9 @@ FLASHES = ((0.608, True), (0.408, False), (0.308, True))
 STILL = 0.5
 #: Sensors that see the perimeter line.
 LINES = ("line_left", "line_right")
-#: Time between two checks of the position without light sensors, s.
-LOOK_EVERY = 1 / 30
+#: Shortest time between two readings of the sensors, and time between two checks of the position
+#: without light sensors, s.
+READ_EVERY, LOOK_EVERY = 0.01, 1 / 30
 #: Time between two checks of the battery, if commands are not in a list, s.
 BATTERY_EVERY = 30.0
 #: Time in which a lost robot must be put into view again, s.
@@ -319,8 +320,8 @@ class Session:
                 readings = self._lines()
                 if guarded and self._must_stop(readings):
                     return False
-                if not readings:
-                    self._clock.sleep_until(min(now + LOOK_EVERY, end))
+                again = now + (READ_EVERY if readings else LOOK_EVERY)
+                self._clock.sleep_until(min(again, end))
                 took = max(took, self._clock.now() - now)
         self._sleep_until(end)
         return True

@@ -9,6 +9,8 @@ the columns ``recording, time, x, y, theta, vx, vy, omega`` and one for each sen
 - ``x, y`` (m), ``theta`` (rad): the robot's pose then, in the board's frame;
 - ``vx, vy`` (m/s), ``omega`` (rad/s): its motion, in the board's frame. Each sensor is read at
 another time after the scan began; these give the pose at that time.
+
+Many robots measure more slowly than they answer: readings that were only read again are left out.
 """
 
 from __future__ import annotations
@@ -31,6 +33,9 @@ COLUMNS = ("recording", "time", *PLACE)
 #: Largest time between two frames for a pose between them, s; number of frames before and after for
 #: the motion.
 GAP, AROUND = 0.1, 2
+#: A reading that equals the one less than ``AGAIN`` seconds before may be the same measurement. One
+#: in ``EVERY`` seconds is kept.
+AGAIN, EVERY = 0.02, 0.1
 
 _DIGITS = 6
 
@@ -64,6 +69,7 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
         seen = np.isfinite(track.pose).all(axis=1)
         looks = observed.of_session(session)
         known, where = _motion_at(track.time[seen], track.pose[seen], looks.time)
+        known &= _measured(looks.time, looks.readings)
         rows = pd.DataFrame(where[known].round(_DIGITS), columns=list(PLACE))
         rows.insert(0, "time", looks.time[known])
         rows.insert(0, "recording", name)
@@ -71,6 +77,13 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
             rows[sensor] = looks.readings[known, place].round(_DIGITS)
         parts.append(rows)
     return pd.concat(parts, ignore_index=True) if parts else no_readings()
+
+
+def _measured(times: NDArray, readings: NDArray) -> NDArray[np.bool_]:
+    """Return whether readings [N, S] at times [N] s are new, [N]; see :data:`AGAIN`."""
+    same = (readings[1:] == readings[:-1]).all(axis=1) & (np.diff(times) < AGAIN)
+    periods = np.diff(np.floor(times / EVERY))
+    return np.append(True, ~same | (periods > 0))[: len(times)]
 
 
 def _motion_at(
