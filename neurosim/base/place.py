@@ -299,9 +299,9 @@ class Place(Checked):
         clearance = _wall_distance(self.surfaces, points)
         if self.walls:
             clearance *= np.where(self._in_walls(points), -1.0, 1.0)
-        for x, y, radius in self.cylinders:
-            to = _length(points[..., 0] - x, points[..., 1] - y) - radius
-            clearance = np.minimum(clearance, to)
+        for cylinder in self.cylinders:
+            middle, radius = cylinder[:2], cylinder[2]
+            clearance = np.minimum(clearance, to_segment(points, middle, middle) - radius)
         cleared: NDArray[np.float64] = np.where(self.inside(points), clearance, -np.inf)
         return cleared
 
@@ -435,20 +435,24 @@ def board_shapes(board: Board) -> list[dict[str, Any]]:
     return shapes
 
 
+def to_segment(points: NDArray, a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    """Return the distances [...] of points [..., 2] from the segments from a to b [..., 2]."""
+    # By components: sums over a last axis of 2 would take ten times as long.
+    along_x, along_y = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
+    off_x, off_y = points[..., 0] - a[..., 0], points[..., 1] - a[..., 1]
+    square = along_x * along_x + along_y * along_y
+    fraction = (off_x * along_x + off_y * along_y) / np.where(square > 0, square, 1.0)
+    fraction = np.clip(fraction, 0.0, 1.0)
+    x, y = off_x - fraction * along_x, off_y - fraction * along_y
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
 def _wall_distance(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
     """Return the distances [...] of points [..., 2] from the nearest of walls [W, 4]."""
     nearest = np.full(points.shape[:-1], np.inf)
-    for x1, y1, x2, y2 in walls:  # sums over a last axis of 2 would take ten times as long
-        off_x, off_y, along_x, along_y = points[..., 0] - x1, points[..., 1] - y1, x2 - x1, y2 - y1
-        fraction = (off_x * along_x + off_y * along_y) / (along_x * along_x + along_y * along_y)
-        fraction = np.clip(fraction, 0.0, 1.0)
-        distance = _length(off_x - fraction * along_x, off_y - fraction * along_y)
-        nearest = np.minimum(nearest, distance)
+    for wall in walls:
+        nearest = np.minimum(nearest, to_segment(points, wall[:2], wall[2:]))
     return nearest
-
-
-def _length(x: NDArray, y: NDArray) -> NDArray[np.float64]:
-    return np.asarray(np.sqrt(x * x + y * y))
 
 
 def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:

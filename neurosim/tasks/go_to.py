@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from neurosim.base.declared import Metres, MetresOrNone, Pose, Seconds, Step, Turn
 from neurosim.base.errors import UserError
-from neurosim.base.place import Place
+from neurosim.base.place import Place, to_segment
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
 
@@ -191,7 +191,7 @@ class GoTo(Task):
             ends = np.array([x1, y1]), np.array([x2, y2])
             near |= _between_segments(before, after, *ends) < self.radius
         for x, y, radius in self._solids.cylinders:
-            near |= _to_segment(np.array([x, y]), before, after) < radius + self.radius
+            near |= to_segment(np.array([x, y]), before, after) < radius + self.radius
         return near
 
     def _add(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
@@ -200,7 +200,7 @@ class GoTo(Task):
         goals = self._goals[:, :2]
         rows = np.arange(len(record))
         goal = np.minimum(record[:, 4].astype(np.int64), len(goals) - 1)
-        distance = _to_segment(goals[goal], before, after)
+        distance = to_segment(goals[goal], before, after)
         least = np.minimum(record[rows, 5 + goal], distance)
         record[rows, 5 + goal] = np.where(counts, least, record[rows, 5 + goal])
         record[:, 4] += counts & (distance <= self.within) & (record[:, 4] < len(goals))
@@ -221,14 +221,6 @@ def _finite(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.nan_to_num(poses, nan=_FAR, posinf=_FAR, neginf=-_FAR)
 
 
-def _to_segment(point: NDArray, a: NDArray, b: NDArray) -> NDArray:
-    """Return the distances [...] of points [..., 2] to the segments from a to b [..., 2]."""
-    along = b - a
-    square = (along * along).sum(-1)
-    fraction = ((point - a) * along).sum(-1) / np.where(square > 0, square, 1.0)
-    return np.linalg.norm(a + np.clip(fraction, 0, 1)[..., None] * along - point, axis=-1)
-
-
 def _between_segments(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
     """Return the distances [...] of the segments a to b [..., 2] to the segment c to d [2]."""
 
@@ -237,5 +229,5 @@ def _between_segments(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray
         return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
     crosses = (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
-    ends = [_to_segment(c, a, b), _to_segment(d, a, b), _to_segment(a, c, d), _to_segment(b, c, d)]
+    ends = [to_segment(c, a, b), to_segment(d, a, b), to_segment(a, c, d), to_segment(b, c, d)]
     return np.where(crosses, 0.0, np.minimum.reduce(ends))
