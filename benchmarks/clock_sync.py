@@ -38,7 +38,6 @@ from neurosim.lab import VirtualRig, read_truth
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Guard, RecordSettings, Rig, record
 from neurosim.training.train import train
-from tracking.camera.camera_model import CameraModel
 from tracking.clock.motion import fit_clock_to_motion
 from tracking.clock.motor_delay import motion_delay
 from tracking.clock.sync import GROUP_GAP
@@ -196,9 +195,7 @@ def film(folder: Path, seed: int) -> dict[str, Any]:
             folder, Rig.of_lab(rig), RandomCommands(seed=seed), RecordSettings(15),
             live=False, say=lambda message: None,
         )  # fmt: skip
-    model = CameraModel(
-        params.size, optics.matrix, optics.distortion, optics.rotation, optics.translation
-    )
+    model = optics.calibration
     recording = Recording(folder)
 
     def camera_clock(time: NDArray) -> NDArray:

@@ -36,7 +36,6 @@ from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.simulators import MotionNetwork
 from neurosim.tasks.follow_line import FollowLine
 from neurosim.trials.driver import Driver
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import build
 
 SIZE = (320, 240)
@@ -85,9 +84,7 @@ def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) 
     """Return the results of a robot."""
     with VirtualRig(seed, noise_seed=seed, camera_size=SIZE, around=task.place) as rig:
         optics = rig.camera.optics
-        model = CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        )
+        model = optics.calibration
         model.write(folder / "calibration.json")
         how = RecordSettings(options.commands, Guard(by="position"), readings=True)
         source = RandomCommands(seed=seed)

@@ -43,7 +43,6 @@ from neurosim.lab import VirtualRig
 from neurosim.lab.nxt.params import BOARD
 from neurosim.lab.nxt.physics import S
 from neurosim.recording.commands import Command, RandomCommands
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.displacements import Settings as TrackSettings
 from tracking.datasets.displacements import Track
@@ -170,14 +169,7 @@ class Eye:
 
     def __init__(self, rig: VirtualRig, rng: np.random.Generator):
         self._camera, self._rng = rig.camera, rng
-        optics = rig.camera.optics
-        self._model = CameraModel(
-            rig.camera.size,
-            optics.matrix,
-            np.array(rig.camera.params.distortion),
-            optics.rotation,
-            optics.translation,
-        )
+        self._model = rig.camera.optics.calibration
         self._geometry = marker_geometry(DEFAULT_MARKERS, self._model)
         self._settings = TrackSettings()
         self._stretches: list[list[tuple]] = []

@@ -173,7 +173,7 @@ class Clip:
     def camera(self) -> CameraModel:
         """The camera as it is."""
         o = self.optics
-        return CameraModel(self.size, o.matrix, o.distortion, o.rotation, o.translation)
+        return o.calibration
 
     def __iter__(self) -> Iterator[Frame]:
         for index in range(self.frames):

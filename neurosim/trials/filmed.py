@@ -27,7 +27,6 @@ from neurosim.simulators.sampling import trial_steps
 from neurosim.trials.driver import missing
 from neurosim.trials.floor import about_robot, on_floor
 from neurosim.trials.trial import run_trial
-from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera, open_camera
 from tracking.track import track
 
@@ -229,7 +228,7 @@ class VirtualNxt(Driven):
         ) as rig:
             assert rig.camera is not None
             o, calibration = rig.camera.optics, folder / "calibration.json"
-            model = CameraModel(SIZE, o.matrix, o.distortion, o.rotation, o.translation)
+            model = o.calibration
             model.write(calibration)
             yield Rig.of_lab(rig), calibration
 

@@ -18,7 +18,6 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.cli._stages import MAKES, Made, experiment_of
 from neurosim.cli.main import cli
 from neurosim.lab import VirtualRig
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.recordings import Recording
 
@@ -240,8 +239,7 @@ calibration = "calibration.json"
 def test_an_interrupted_recording_is_continued_and_tracked_in_place(tmp_path):
     with VirtualRig(0, camera_size=(320, 240)) as rig:
         optics = rig.camera.optics
-        place = (optics.rotation, optics.translation)
-        lens = CameraModel((320, 240), optics.matrix, optics.distortion, *place)
+        lens = optics.calibration
     lens.write(tmp_path / "calibration.json")
     (tmp_path / "drive.toml").write_text(DRIVEN)
     words = ["pipeline", "drive.toml"]

@@ -13,7 +13,6 @@ from processes import finished, started
 
 from neurosim.controllers import FixedPlan, SavedController
 from neurosim.lab import VirtualRig
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording
 
 pytestmark = [
@@ -44,8 +43,7 @@ def calibration(tmp_path_factory):
     path = tmp_path_factory.mktemp("lens") / "calibration.json"
     with VirtualRig(0, camera_size=(320, 240)) as rig:
         optics = rig.camera.optics
-        place = (optics.rotation, optics.translation)
-        CameraModel((320, 240), optics.matrix, optics.distortion, *place).write(path)
+        optics.calibration.write(path)
     return path
 
 

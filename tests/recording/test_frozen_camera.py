@@ -23,7 +23,6 @@ from neurosim.recording.perimeter import Reckoning
 from neurosim.recording.record import RecordSettings, Rig, record
 from neurosim.recording.session import SeenToStand
 from neurosim.robots.nxt.driver import NXT
-from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera, OpenCVCamera
 from tracking.datasets.recordings import Recording
 
@@ -170,8 +169,7 @@ def filmed(folder, source, count, *, since=np.inf, noise=0.0, fps=30.0, sensors=
         camera, calibration = Still(rig, since, noise), None
         if calibrated:
             calibration, optics = folder / "calibration.json", rig.camera.optics
-            place = (optics.rotation, optics.translation)
-            CameraModel(SIZE, optics.matrix, optics.distortion, *place).write(calibration)
+            optics.calibration.write(calibration)
         robot = rig.robot
         if not sensors:
             robot = NXT(

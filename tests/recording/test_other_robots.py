@@ -7,7 +7,6 @@ from neurosim.lab import VirtualLinesRig, VirtualRosRig, VirtualThymioRig, read_
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.recording.settings import Rig
-from tracking.camera.camera_model import CameraModel
 from tracking.clock.motor_delay import motion_delay
 from tracking.datasets.dataset import build
 
@@ -29,9 +28,7 @@ def made(request, tmp_path_factory):
         else VirtualLinesRig(2, kind=request.param, **options)
     ) as rig:
         optics = rig.camera.optics
-        CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(folder / "calibration.json")
+        optics.calibration.write(folder / "calibration.json")
         rig.robot.connect()
         recording = record(
             folder / "recording",
@@ -104,9 +101,7 @@ def test_the_dataset_says_how_it_moves(made, tmp_path):
 def test_a_slow_robot_returns_from_a_corner_of_a_large_board(tmp_path):
     with VirtualThymioRig(1, camera_size=SIZE, start=(1.1, 0.8, 0.6), fps=15) as rig:
         optics = rig.camera.optics
-        CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(tmp_path / "calibration.json")
+        optics.calibration.write(tmp_path / "calibration.json")
         rig.robot.connect()
         recording = record(
             tmp_path / "recording",

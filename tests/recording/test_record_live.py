@@ -29,9 +29,7 @@ BOARD = {"length": 1.4, "width": 1.1}
 
 def calibrate(rig, path):
     optics = rig.camera.optics
-    CameraModel(SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation).write(
-        path
-    )
+    optics.calibration.write(path)
 
 
 def make(folder, source, count, *, sensors=False, prepare=None, **options):

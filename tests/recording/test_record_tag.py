@@ -36,9 +36,7 @@ def recorded(folder, another=None):
                 lambda time, frame: take(time, another(time, frame.copy()))
             )
         optics = rig.camera.optics
-        CameraModel(
-            rig.camera.size, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(folder / "calibration.json")
+        optics.calibration.write(folder / "calibration.json")
         made = record(
             folder / "r", rig, DRIVES, RecordSettings(3, markers=markers),
             calibration=folder / "calibration.json", say=messages.append,
@@ -153,9 +151,7 @@ def test_a_tag_that_is_too_small_in_the_picture(size, width):
     tag, colours = marker_settings("apriltag", "virtual"), marker_settings(None, "virtual")
     with open_rig("virtual", {}, Setup(size=size)) as rig:
         optics = rig.camera.optics
-        seen_by = CameraModel(
-            size, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        )
+        seen_by = optics.calibration
     assert too_small(colours, seen_by) is None
     message = too_small(tag, seen_by)
     assert message is None if width is None else f"a cell of the tag is {width} wide" in message

@@ -16,7 +16,6 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import write_csv
 from neurosim.cli.main import cli
 from neurosim.lab import VirtualRig
-from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
 from tracking.datasets.lerobot import export_lerobot
 from tracking.datasets.recordings import Recording
@@ -36,8 +35,7 @@ def recordings(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings")
     with VirtualRig(0, camera_size=(320, 240)) as rig:
         optics = rig.camera.optics
-        place = (optics.rotation, optics.translation)
-        CameraModel((320, 240), optics.matrix, optics.distortion, *place).write(folder / "c.json")
+        optics.calibration.write(folder / "c.json")
     for name, commands in (("a", 3), ("b", 4)):
         neurosim(
             "record", folder / name, "--commands", commands, "--camera-size", "320x240",

@@ -9,7 +9,6 @@ from neurosim.controllers import FixedPlan, Network, SavedController
 from neurosim.lab import CameraParams
 from neurosim.lab.camera.optics import Optics
 from neurosim.tasks.go_to import GoTo
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset, build
 from tracking.datasets.recordings import Recording
 
@@ -25,8 +24,7 @@ def record(folder, controller, *options):
 @pytest.fixture
 def folder(tmp_path):
     optics = Optics(CameraParams(size=SIZE))
-    lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
-    CameraModel(SIZE, *lens).write(tmp_path / "calibration.json")
+    optics.calibration.write(tmp_path / "calibration.json")
     task = GoTo(goals=((0.4, 0.1, 0.0), (-0.2, 0.0, 0.0)), seconds=3.0, step=0.2, tolerance=0.1)
     weights = np.ravel([[8.0, -8, 0, 0], [8, 8, 0, 0]])
     family = Network(("goal_x", "goal_y", "cos_heading"), scale=50.0)

@@ -25,7 +25,6 @@ from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 from neurosim.tasks.registry import TASKS
 from neurosim.trials.driver import Driver, missing
 from neurosim.trials.trial import compare, run_trial
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording
 
 SIZE = (320, 240)
@@ -112,9 +111,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
     with VirtualRig(2, noise_seed=5, camera_size=SIZE) as rig:
         optics = rig.camera.optics
         calibration = tmp_path / "calibration.json"
-        CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(calibration)
+        optics.calibration.write(calibration)
         report = run_trial(folder, tmp_path / "t", Rig.of_lab(rig), calibration=calibration)
     truth = read_truth(tmp_path / "t")
     actual = report["actual"]
@@ -153,9 +150,7 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     with VirtualRig(2, noise_seed=5, camera_size=SIZE, push=push) as rig:
         optics = rig.camera.optics
         calibration = tmp_path / "calibration.json"
-        CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(calibration)
+        optics.calibration.write(calibration)
         report = run_trial(
             folder, tmp_path / "t", Rig.of_lab(rig), calibration=calibration,
             replan=(SlippingWheels(), how), seed=1,

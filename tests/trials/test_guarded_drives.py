@@ -17,7 +17,6 @@ from neurosim.reports.report import write_report
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 from neurosim.tasks.go_to import GoTo
 from neurosim.trials.trial import run_trial
-from tracking.camera.camera_model import CameraModel
 
 SIZE = (320, 240)
 PERIMETER = Perimeter(Board(), ((LIGHT_AHEAD, LIGHT_ASIDE), (LIGHT_AHEAD, -LIGHT_ASIDE)))
@@ -33,9 +32,7 @@ def drive(tmp_path):
         folder = controller.write(tmp_path / "c") or tmp_path / "c"
         with VirtualRig(1, noise_seed=3, start=put or controller.start, camera_size=SIZE) as rig:
             optics, calibration = rig.camera.optics, tmp_path / "calibration.json"
-            CameraModel(
-                SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-            ).write(calibration)
+            optics.calibration.write(calibration)
             if covered is not None:
                 _cover(rig, *covered)
             return run_trial(

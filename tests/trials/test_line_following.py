@@ -14,7 +14,6 @@ from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Rig, record
 from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.trials.trial import run_trial
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset, build
 from tracking.datasets.recordings import Recording
 
@@ -29,8 +28,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("line")
     with VirtualRig(2, noise_seed=3, camera_size=SIZE, around=TASK.place) as rig:
         optics = rig.camera.optics
-        lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
-        CameraModel(SIZE, *lens).write(folder / "calibration.json")
+        optics.calibration.write(folder / "calibration.json")
         record(
             folder / "recording",
             Rig.of_lab(rig),

@@ -18,7 +18,6 @@ from neurosim.simulators.base import Simulator
 from neurosim.tasks.go_to import GoTo
 from neurosim.trials.driver import missing
 from neurosim.trials.trial import run_trial
-from tracking.camera.camera_model import CameraModel
 from tracking.track import track
 
 SIZE = (320, 240)
@@ -58,9 +57,7 @@ def drive(kind, folder, controller, **options):
     lab = {"noise_seed": 4, "camera_size": SIZE}
     with VirtualRosRig(2, **lab) if kind == "ros" else VirtualLinesRig(2, kind=kind, **lab) as rig:
         optics = rig.camera.optics
-        CameraModel(
-            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
-        ).write(folder / "calibration.json")
+        optics.calibration.write(folder / "calibration.json")
         rig.robot.connect()
         report = run_trial(
             controller, folder / "trial", Rig.of_lab(rig), track=track,

@@ -19,7 +19,6 @@ from neurosim.lab import CameraParams, read_truth
 from neurosim.lab.camera.optics import Optics
 from neurosim.recording.by_hand import Hand
 from neurosim.watch import PageServer, Viewer
-from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
 from tracking.markers.colours import parse_colour
@@ -41,8 +40,7 @@ def tab(tmp_path_factory):
 def recorded(folder, *options):
     """Begin a recording by hand; give the process, its page's address, and its messages."""
     optics = Optics(CameraParams(size=SIZE))
-    lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
-    CameraModel(SIZE, *lens).write(folder / "calibration.json")
+    optics.calibration.write(folder / "calibration.json")
     words = ["record", "r", "--by-hand", "--camera-size", "320x240", *options]
     child = started(*words, cwd=folder)
     messages = []

@@ -13,6 +13,7 @@ from numba import njit
 
 from neurosim.base.perimeter import Board
 from neurosim.lab.nxt.params import BOARD, CameraParams
+from tracking.camera.camera_model import CameraModel
 
 
 def _rotation(axis: int, angle: float) -> np.ndarray:
@@ -51,6 +52,11 @@ class Optics:
         sight = self.rotation[2]
         self.centre = sight * (params.height / sight[2])  # it looks at the board's centre
         self.translation = -self.rotation @ self.centre
+
+    @property
+    def calibration(self) -> CameraModel:
+        """The result of a calibration without errors."""
+        return CameraModel(self.size, self.matrix, self.distortion, self.rotation, self.translation)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points [N, 3] (m, board frame) to pixels [N, 2]."""
