@@ -8,6 +8,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
+# Without stored bytecode, each worker and each process that a test starts compiles all sources.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-fast test-extras dist docs format clean
 
 demo: .venv/installed

@@ -264,18 +264,25 @@ class Group:
             chosen: the choices.
             taken: options of the command; one of the same name is prefixed with the choice.
         """
-        source, made = self.chosen_by(chosen), {}
-        skip = self.skip(chosen) if callable(self.skip) else self.skip
-        for each in parameters(source) if source is not None else ():
-            if each.name in skip or (self.only is not None and each.name not in self.only):
-                continue
-            flag = self.prefix + self.names.get(each.name, each.name.replace("_", "-"))
+        made = {}
+        for flag, each in self.flags(chosen).items():
             if f"--{flag}" in taken:
                 flag = f"{(self.option or self.into).strip('-').replace('_', '-')}-{flag}"
-            made[each.name] = self._option(each, flag)
+            made[each.name] = self.made(each, flag)
         return made
 
-    def _option(self, each: Parameter, flag: str) -> click.Option:
+    def flags(self, chosen: Chosen) -> dict[str, Parameter]:
+        """Return the parameters that are options, by the option's name without dashes."""
+        source = self.chosen_by(chosen)
+        skip = self.skip(chosen) if callable(self.skip) else self.skip
+        return {
+            self.prefix + self.names.get(each.name, each.name.replace("_", "-")): each
+            for each in (parameters(source) if source is not None else ())
+            if each.name not in skip and (self.only is None or each.name in self.only)
+        }
+
+    def made(self, each: Parameter, flag: str) -> click.Option:
+        """Return the option of a parameter."""
         kind, help_ = self.kinds.get(each.name, each.kind), self.helps.get(each.name, each.help)
         default = each.default
         if (units := self.units.get(each.name)) is not None:
@@ -422,8 +429,9 @@ class SettingsCommand(click.Command):
                 every[group.chooser] = _chooser(group)
         for chosen in [default, *self._alternatives(default)]:
             for group in self._groups:
-                for option in _options_or_none(group, chosen).values():
-                    every.setdefault(str(option.name), option)
+                for flag, each in _or_none(group.flags, chosen).items():
+                    if (name := flag.replace("-", "_")) not in every:
+                        every[name] = group.made(each, flag)
         return list(every.values())
 
     def _alternatives(self, chosen: Chosen) -> Iterator[Chosen]:
@@ -494,7 +502,7 @@ class SettingsCommand(click.Command):
                     name = kept_name or group.default_name(state.chosen)
                 state.chosen[group.chooser] = name
                 if ctx.default_map and group.outside(name):
-                    for option in _options_or_none(group, state.chosen).values():
+                    for option in _or_none(group.options, state.chosen).values():
                         ctx.default_map.pop(option.name, None)
 
     def _of_another(self, error: click.NoSuchOption, state: _State) -> UserError | None:
@@ -503,7 +511,7 @@ class SettingsCommand(click.Command):
 
         def has(chosen: Chosen) -> bool:
             options = [
-                each for one in self._groups for each in _options_or_none(one, chosen).values()
+                each for one in self._groups for each in _or_none(one.options, chosen).values()
             ]
             return any(flag in (*each.opts, *each.secondary_opts) for each in options)
 
@@ -605,9 +613,9 @@ def _chooser(group: Group) -> click.Option:
     )
 
 
-def _options_or_none(group: Group, chosen: Chosen) -> dict[str, click.Option]:
+def _or_none(made: Callable[[Chosen], dict[str, Any]], chosen: Chosen) -> dict[str, Any]:
     try:
-        return group.options(chosen)
+        return made(chosen)
     except UserError:
         return {}  # of a package that cannot be imported; the error comes when it is used
 

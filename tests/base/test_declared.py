@@ -24,7 +24,7 @@ from neurosim.base.declared import (
     hints_of,
 )
 from neurosim.base.errors import UserError
-from neurosim.cli._options import SettingsCommand, _options_or_none
+from neurosim.cli._options import SettingsCommand, _or_none
 from neurosim.cli.main import cli
 
 
@@ -130,7 +130,7 @@ def declared():
             for group in groups:
                 source = group.chosen_by(chosen)
                 source = source if isinstance(source, type) else type(source)
-                if issubclass(source, Checked) and _options_or_none(group, chosen):
+                if issubclass(source, Checked) and _or_none(group.options, chosen):
                     results[source.__name__] = source
     return results
 
