@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
 from neurosim.base.se2 import compiled as se2
-from neurosim.base.threads import WORTH_SHARING, on_cores
 
 #: Reason of a drive's end, by code from 1 (0: not ended); the words follow "the robot".
 ENDS = (
@@ -139,11 +138,7 @@ class Perimeter(Checked):
         half = board.length / 2, board.width / 2
         if running is None:
             running = np.ones(len(after), np.bool_)
-
-        def part(first: int, last: int) -> None:
-            _ends(first, last, guard, poses, seconds, running, half, line, sensors, margin)
-
-        on_cores(_ends, part, len(poses), WORTH_SHARING)
+        _ends(guard, poses, seconds, running, half, line, sensors, margin)
         return poses
 
 
@@ -155,8 +150,6 @@ def _inside(x: float, y: float, half: tuple[float, float]) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ends(
-    first: int,
-    last: int,
     guard: NDArray,
     poses: NDArray,
     seconds: NDArray,
@@ -166,21 +159,18 @@ def _ends(
     sensors: NDArray,
     margin: float,
 ) -> None:
-    """Write ``guard`` [K, 4], and the stopped robots' ``poses`` [K, 3]; see Perimeter.ends.
-
-    ``first`` and ``last`` limit the robots, from the first to before the last.
-    """
+    """Write ``guard`` [K, 4], and the stopped robots' ``poses`` [K, 3]; see Perimeter.ends."""
     reach = 0.0
     for i in range(len(sensors)):
         reach = max(reach, math.hypot(sensors[i, 0], sensors[i, 1]))
     inner, outer = line[0] + 0.5 * line[1], line[0] - 0.5 * line[1]
     marked = line[1] > 0.0
     spacing = min(SPACING, max(line[1], CLOSEST)) if marked else SPACING
-    for k in range(first, last):
-        if not running[k]:
-            continue
+    for k in range(len(poses)):
         x, y, heading = guard[k, 0], guard[k, 1], guard[k, 2]
         dx, dy, turn = poses[k, 0] - x, poses[k, 1] - y, poses[k, 2] - heading
+        if not running[k] or (seconds[k] == 0.0 and dx == dy == turn == 0.0):
+            continue
         if math.isfinite(poses[k, 0] + poses[k, 1] + poses[k, 2]):
             for i in range(3):
                 guard[k, i] = poses[k, i]

@@ -24,7 +24,7 @@ def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: i
 
     Args:
         kernel: the compiled function that ``part`` calls, with ``nogil``. If it is not compiled
-            yet, that happens in the calling thread, where an interruption ends it.
+            yet, that happens in the calling thread, where an interruption ends it. None: unknown.
         part: called as ``part(first, last)`` for the pieces from ``first`` to before ``last``.
         count: number of pieces.
         least: smallest number of pieces for which another core is worth starting.

@@ -5,7 +5,8 @@ Every evolution, robust evolution, check and trial goes through :class:`Evaluato
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -22,7 +23,7 @@ from neurosim.base.cluster import Name
 from neurosim.base.errors import UserError
 from neurosim.base.generations import compiling_notice
 from neurosim.base.interrupts import uninterrupted
-from neurosim.base.threads import one_core, one_thread
+from neurosim.base.threads import on_cores, one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.controllers.registry import make_controller
@@ -31,6 +32,7 @@ from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.loop.workers import workers_named
 from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.engine import CompiledRollouts
 from neurosim.simulators.registry import simulator_of
 from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
@@ -148,15 +150,37 @@ class Evaluator:
                 limit.
         """
         how = objective, tuple(hints), unsupported
-        cut = (genes[part] for part in self._parts(len(genes), len(draws)))
         if self.workers is None:
-            judged: Iterator[Any] = (self.merit_of(part, draws, *how) for part in cut)
+            judged: Iterable[Any] = self._judged_here(genes, draws, how)
         else:
+            cut = (genes[part] for part in self._parts(len(genes), len(draws)))
             judged = self.workers(self, cut, draws, how)
         parts, numbers = zip(*judged, strict=True)
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         columns = [np.concatenate(part) for part in zip(*numbers, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))
+
+    @uninterrupted()
+    def _judged_here(
+        self, genes: NDArray[np.float64], draws: Draws, how: tuple[Any, ...]
+    ) -> list[Any]:
+        """Return the results of :meth:`merit_of` for parts of a population, in order.
+
+        Each core judges whole individuals, because that needs it to wait for others only once.
+        Rollouts that are not compiled may not be used by several threads.
+        """
+        parts: dict[int, list[Any]] = {}
+
+        def part(first: int, last: int) -> None:
+            with one_core(last - first < len(genes)):
+                cut = self._parts(last - first, len(draws))
+                parts[first] = [self.merit_of(genes[first:last][p], draws, *how) for p in cut]
+
+        if isinstance(self.rollouts, CompiledRollouts):
+            on_cores(None, part, len(genes))
+        else:
+            part(0, len(genes))
+        return list(itertools.chain.from_iterable(parts[first] for first in sorted(parts)))
 
     @uninterrupted()
     def merit_of(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -270,7 +271,7 @@ class CompiledRollouts:
         if not controller.open_loop:
             sources = input_sources(controller.inputs, names)
             self._net = closed_loop(controller.arrays(), sources, episode, reads)
-        self._kept: dict[str, NDArray] = {}
+        self._kept: dict[tuple[int, str], NDArray] = {}
 
     def draw(
         self,
@@ -321,7 +322,7 @@ class CompiledRollouts:
         """Return arrays [P, R, ...] for poses, commands and readings.
 
         New memory of tens of megabytes takes as long as the computation: with ``reuse`` the memory
-        of the previous run is used if it is large enough.
+        of this thread's previous run is used if it is large enough.
         """
         sensors = len(self._simulator.reading_names)
         shapes = {
@@ -331,11 +332,11 @@ class CompiledRollouts:
         }
         buffers = []
         for name, (each, dtype) in shapes.items():
-            kept = self._kept.get(name)
+            kept = self._kept.get(own := (threading.get_ident(), name))
             if not reuse or kept is None or len(kept) < count or kept.shape[1:] != (samples, *each):
                 kept = np.empty((count, samples, *each), dtype)
                 if reuse:
-                    self._kept[name] = kept
+                    self._kept[own] = kept
             buffers.append(kept[:count])
         return buffers
 

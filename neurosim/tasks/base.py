@@ -23,7 +23,6 @@ from neurosim.base.declared import Checked, SettingError
 from neurosim.base.errors import UserError, unwritten
 from neurosim.base.perimeter import ENDS, LONGEST_ARC, Perimeter
 from neurosim.base.place import Place
-from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import InPlace, Sensing, Simulator
 
@@ -196,7 +195,10 @@ class Task(Checked):
         return np.concatenate([zero, poses, poses, zero], axis=1)
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval of K trials to their records [K, W], in place."""
+        """Add an interval of K trials to their records [K, W], in place.
+
+        Several threads call it, for different trials.
+        """
         seen = np.isfinite(interval.poses).all(axis=1)
         record[seen, 4:7] = interval.poses[seen]
         record[:, 7] += interval.duration
@@ -245,10 +247,8 @@ class Task(Checked):
         known pose (m, m, rad), and the reason of the trial's end, a code of
         :data:`neurosim.base.perimeter.ENDS` or 0.
         """
-        own = self.first_record(poses)
-        if self.perimeter is None:
-            return own
-        return np.concatenate([own, poses, np.zeros((len(poses), 1))], axis=1)
+        own, guard = self._begun(poses)
+        return own if guard is None else np.concatenate([own, guard], axis=1)
 
     def add(self, record: NDArray[np.float64], interval: Interval) -> None:
         """Add an interval of K trials to records of :meth:`new_record`, in place."""
@@ -281,6 +281,13 @@ class Task(Checked):
             progress=judged.progress - penalty,
             over=judged.over | stopped,
         )
+
+    def _begun(self, poses: NDArray) -> tuple[NDArray, NDArray | None]:
+        """Return the parts of :meth:`new_record`."""
+        own = self.first_record(poses)
+        if self.perimeter is None:
+            return own, None
+        return own, np.concatenate([poses, np.zeros((len(poses), 1))], axis=1)
 
     def _parts(self, record: NDArray) -> tuple[NDArray, NDArray | None]:
         """Return a record without the guard's columns, and these, if there is a perimeter."""
@@ -328,15 +335,16 @@ class Task(Checked):
             poses = np.full((count, steps + 1, 3), np.nan)
         else:
             poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
-        begun = self.new_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
-        own, guard = self._parts(begun)
+        if record is None:
+            own, guard = self._begun(poses[:, 0])
+        else:
+            own, guard = self._parts(np.tile(record, (count, 1)))
         before = _over(own, guard)
         settled = np.where(before, 0, max(steps - 1, 0))
-        with one_core(count < WORTH_SHARING):
-            for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
-                self._add_guarded(own, guard, interval, before)
-                over = _over(own, guard)
-                settled[over & ~before], before = step, over
+        for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
+            self._add_guarded(own, guard, interval, before)
+            over = _over(own, guard)
+            settled[over & ~before], before = step, over
         if trajectory.segment is not None:
             settled = trajectory.segment[settled]
         judged = replace(self._score_guarded(own, guard), segment=settled)

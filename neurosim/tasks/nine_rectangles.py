@@ -46,7 +46,6 @@ from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.base.se2 import compiled as se2
-from neurosim.base.threads import WORTH_SHARING, on_cores
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
 
@@ -200,12 +199,7 @@ class NineRectangles(Task):
     ) -> None:
         given = np.array(np.broadcast_to(active, len(record)))
         course = self._grid, self._goals, float(self.longest_arc)
-        poses = np.ascontiguousarray(poses)
-
-        def part(first: int, last: int) -> None:
-            _add(first, last, record, poses, given, ends, begins, *course)
-
-        on_cores(_add, part, len(record), WORTH_SHARING)
+        _add(record, np.ascontiguousarray(poses), given, ends, begins, *course)
 
     @cached_property
     def _goals(self) -> NDArray[np.float64]:
@@ -331,8 +325,6 @@ def _begin(x: float, y: float, grid: tuple, last: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _add(
-    first: int,
-    last_record: int,
     record: NDArray,
     poses: NDArray,
     active: NDArray,
@@ -342,14 +334,14 @@ def _add(
     goals: NDArray,
     longest: float,
 ) -> None:
-    """Move robots with records [K, W] to poses [K, 3], or begin at these; see :data:`_COLUMNS`.
-
-    ``first`` and ``last_record`` limit the robots, from the first to before the last.
-    """
+    """Move robots with records [K, W] to poses [K, 3], or begin at these; see :data:`_COLUMNS`."""
     _, length, width = grid
     last = len(goals) - 1
-    for k in range(first, last_record):
+    for k in range(len(record)):
         x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        moves = x != record[k, 1] or y != record[k, 2] or heading != record[k, 3]
+        if not (begins or active[k] or moves):
+            continue
         progress, fault = int(record[k, 4]), int(record[k, 7])
         if begins:
             progress, fault = _begin(x, y, grid, last)

@@ -4,13 +4,16 @@ A real cluster judges in tests/extras.
 """
 
 import sys
+from contextlib import contextmanager
 
+import numba
 import numpy as np
 import pytest
 from motion_networks import noise_model, random_motion_network
 
 from neurosim.base.errors import UserError
 from neurosim.controllers import Plan
+from neurosim.controllers.registry import make_controller
 from neurosim.loop import evaluate as module
 from neurosim.loop.evaluate import Evaluator, evaluate
 from neurosim.loop.workers import workers_named
@@ -23,6 +26,34 @@ def test_refusals(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UserError, match=r"neurosim\[ray\]"):
         evaluate(random_motion_network(1), NineRectangles(), Plan(slots=2), workers="ray")
+
+
+@pytest.mark.parametrize("kind", ["plan", "network"])
+def test_two_cores_judge_as_one_does(kind):
+    simulator = random_motion_network(1, noise=noise_model(1, size=-6.0))
+    task = NineRectangles(seconds=2.0)
+    evaluator = Evaluator(simulator, task, make_controller(kind, simulator, task))
+    genes = np.random.default_rng(0).random((37, evaluator.controller.genes))
+    draws = evaluator.draw(30, 1)
+    merits = []
+    for cores in (1, 2, 2):  # the third uses the memory of the second
+        with threads(cores):
+            merits.append(evaluator.merit(genes, draws, "progress")[0])
+    assert len(np.unique(merits[0].merit)) > 5
+    np.testing.assert_array_equal(merits[1], merits[0])
+    np.testing.assert_array_equal(merits[2], merits[0])
+
+
+@contextmanager
+def threads(count):
+    before = numba.get_num_threads()
+    if count > numba.config.NUMBA_NUM_THREADS:
+        pytest.skip(f"this machine has fewer than {count} cores")
+    numba.set_num_threads(count)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def test_parts_are_judged_as_the_whole_is(monkeypatch):

@@ -72,12 +72,17 @@ def arc(dx, dy, turn, fraction):
     and y are in the same one.
     """
     half = 0.5 * turn
-    part, angle = fraction, 0.0
-    if abs(turn) > _STRAIGHT:
-        part = math.sin(fraction * half) / math.sin(half)
-        angle = (fraction - 1.0) * half
-    x, y = rotate(angle, dx, dy)
-    return part * x, part * y
+    if not abs(turn) > _STRAIGHT:
+        return fraction * dx, fraction * dy
+    # The chord of the part is turned by (fraction - 1) * half. Only two of these change with it.
+    sin, cos = math.sin(fraction * half), math.cos(fraction * half)
+    sin_half, cos_half = math.sin(half), math.cos(half)
+    part = sin / sin_half
+    along, across = (
+        part * (cos * cos_half + sin * sin_half),
+        part * (sin * cos_half - cos * sin_half),
+    )
+    return along * dx - across * dy, across * dx + along * dy
 
 
 @kernel(inline="always")
