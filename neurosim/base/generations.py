@@ -26,6 +26,11 @@ class Stage(Protocol):
         """Number of generations so far."""
         ...
 
+    @property
+    def ended(self) -> bool:
+        """Whether there is nothing to gain from further generations."""
+        ...
+
     def generation(self) -> str:
         """Compute one generation; return a short figure of its progress."""
         ...
@@ -87,7 +92,7 @@ def run_generations(
         saved = time.monotonic()
         say = (lambda message: None) if shown is None else shown.say
         slow = compiling_notice(f"{label}: the first generation", say)
-        while stage.done < total:
+        while stage.done < total and not stage.ended:
             note = stage.generation()
             slow.cancel()
             if after is not None:

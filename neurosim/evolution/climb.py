@@ -75,7 +75,10 @@ class Climb(Replay):
     Attributes:
         asked: [P, G] of every generation.
         fitness: [P] of every generation.
+        ended: never before its last generation.
     """
+
+    ended = False
 
     def __init__(
         self,

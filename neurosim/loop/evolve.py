@@ -92,6 +92,7 @@ class Evolution:
                 objective=settings.objective,
                 samples=settings.samples,
                 unsupported=settings.most_unsupported,
+                settling=None if settings.robust is None else settings.robust.settling,
             )
         ]
 
@@ -150,7 +151,7 @@ class Evolution:
 
     def _make_robust(self) -> None:
         first = self.stages[0]
-        self.stages[1:] = [self.robust_stage(first.top, np.asarray(first.optimiser.ask()))]
+        self.stages[1:] = [self.robust_stage(first.top, first.population)]
 
     def robust_stage(self, best: NDArray, population: NDArray) -> Search:
         """Begin the robust stage with the best [N, G] and the populations [N, P, G] of the first.
@@ -178,6 +179,7 @@ class Evolution:
             refresh=robust.refresh,
             kept=genes[:, 0],
             unsupported=self.settings.most_unsupported,
+            halving=robust.halving,
         )
 
     def best(self) -> NDArray[np.float64]:

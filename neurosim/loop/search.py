@@ -35,7 +35,7 @@ from neurosim.loop.settings import EvolveSettings
 #: best of the last population, and the best of each earlier set of samples.
 FINALISTS = 24
 #: State of a stage, in addition to the optimiser's own.
-_STATE = ("best", "mean", "population", "merit", "top", "top_merit")
+_STATE = ("best", "mean", "population", "merit", "shown", "top", "top_merit", "running", "settled")
 
 
 class Search:
@@ -49,6 +49,8 @@ class Search:
         top: [N, G] the best individual of each run so far; with random samples it may be due to
             luck, see :meth:`choose`.
         top_merit: [N] its merit.
+        running: [N] bool; runs that have ended keep what they had then.
+        settled: [N] number of generations since a run completed the task.
     """
 
     def __init__(
@@ -62,6 +64,8 @@ class Search:
         refresh: int = 1,
         kept: NDArray[np.float64] | None = None,
         unsupported: float | None = None,
+        settling: int | None = None,
+        halving: int = 0,
     ):
         """Begin a stage.
 
@@ -75,17 +79,23 @@ class Search:
             kept: [N, G] an earlier candidate of each run; then the best of each set of samples is
                 also kept, to be judged again.
             unsupported: see :meth:`Evaluator.merit`.
+            settling: number of generations after which a run ends once an individual completes the
+                task, so that others do, too; None: it does not end.
+            halving: number of generations after which the worse half of the runs ends, repeated; 0:
+                none does.
         """
         self._evaluator, self.optimiser = evaluator, resumable(optimiser)
         self._seed, self._refresh = list(seed), refresh
         self._objective, self._samples = objective, samples
         self._unsupported = unsupported
+        self._settling, self._halving = settling, halving
         self._draws = None if samples else evaluator.expectation()
         self._hints = tuple(getattr(optimiser, "hints", ()))
         self.best: list[NDArray[np.float64]] = []
         self.mean: list[NDArray[np.float64]] = []
         self.shown = self.merit = self.top = np.empty((0, 0))
         self.population, self.top_merit = np.empty((0, 0, 0)), np.empty(0)
+        self.running, self.settled = np.empty(0, np.bool_), np.empty(0, np.int64)
         self._keeps = kept is not None
         self._kept = [] if kept is None else [kept]
 
@@ -94,6 +104,11 @@ class Search:
         """Number of generations so far."""
         return len(self.best)
 
+    @property
+    def ended(self) -> bool:
+        """Whether all runs have ended."""
+        return self.done > 0 and not self.running.any()
+
     def generation(self) -> str:
         """Judge a population, let the optimiser make the next; return a short figure."""
         asked = np.asarray(self.optimiser.ask(), np.float64)
@@ -101,7 +116,11 @@ class Search:
         if self._samples and (self._draws is None or self.done % self._refresh == 0):
             self._draws = self._draw()
         assert self._draws is not None
-        with self._evaluator.threads_for(genes.shape[0] * genes.shape[1] * len(self._draws)):
+        if not self.done:
+            self.running = np.ones(len(genes), np.bool_)
+            self.settled = np.zeros(len(genes), np.int64)
+        individuals = self.running.sum() * genes.shape[1]
+        with self._evaluator.threads_for(individuals * len(self._draws)):
             merit, hints = self._judge(genes, self._draws)
             self.optimiser.tell(merit.merit.reshape(asked.shape[:-1]), **hints)
         self._remember(genes, merit)
@@ -116,29 +135,53 @@ class Search:
         return self._evaluator.draw(self._samples, rng, repeats)
 
     def _judge(self, genes: NDArray, draws: Draws) -> tuple[Merit, dict[str, NDArray]]:
-        """Return the merit [N, P] of populations [N, P, G], and the hints."""
+        """Return the merit [N, P] of populations [N, P, G], and the hints; 0 of ended runs."""
         runs, size, _ = genes.shape
-        merit, hints = self._evaluator.merit(
-            genes.reshape(runs * size, -1), draws, self._objective, self._hints, self._unsupported
+        judged, hints = self._evaluator.merit(
+            genes[self.running].reshape(-1, genes.shape[2]),
+            draws,
+            self._objective,
+            self._hints,
+            self._unsupported,
         )
-        shaped = {name: value.reshape(runs, size, -1) for name, value in hints.items()}
-        return Merit(*(part.reshape(runs, size) for part in merit)), shaped
+
+        def of_all(values: NDArray) -> NDArray:
+            shaped = np.zeros((runs, size, *values.shape[1:]), values.dtype)
+            shaped[self.running] = values.reshape(-1, *shaped.shape[1:])
+            return shaped
+
+        return Merit(*map(of_all, judged)), {name: of_all(one) for name, one in hints.items()}
 
     def _remember(self, genes: NDArray, merit: Merit) -> None:
-        self.population, self.merit, self.shown = genes, merit.merit, merit.shown
-        runs, index = np.arange(len(genes)), merit.merit.argmax(axis=1)
-        candidates, value = genes[runs, index], merit.merit[runs, index]
         if not self.done:
-            self.top, self.top_merit = candidates.copy(), value.copy()
+            self.population, self.merit, self.shown = genes, merit.merit, merit.shown
+            self.top, self.top_merit = genes[:, 0].copy(), np.full(len(genes), -np.inf)
+        run = self.running
+        self.population = np.where(run[:, None, None], genes, self.population)
+        self.merit = np.where(run[:, None], merit.merit, self.merit)
+        self.shown = np.where(run[:, None], merit.shown, self.shown)
+        runs, index = np.arange(len(genes)), self.merit.argmax(axis=1)
+        candidates, value = self.population[runs, index], self.merit[runs, index]
         better = value > self.top_merit
         self.top[better], self.top_merit[better] = candidates[better], value[better]
         if self._keeps and (self.done + 1) % self._refresh == 0:
             self._kept.append(candidates)
         # An individual that ranks last is never the best, at any fitness.
-        shown = np.where(is_behind(merit.merit), -np.inf, merit.shown)
+        shown = np.where(is_behind(self.merit), -np.inf, self.shown)
         best = shown.max(axis=1)
-        self.best.append(np.where(np.isfinite(best), best, merit.shown.max(axis=1)))
-        self.mean.append(merit.shown.mean(axis=1))
+        self.best.append(np.where(np.isfinite(best), best, self.shown.max(axis=1)))
+        self.mean.append(self.shown.mean(axis=1))
+        if self._settling is not None:
+            self.settled += (self.settled > 0) | (merit.success.max(axis=1) >= 1.0)
+            self.running = run & (self.settled <= self._settling)
+        if self._halving and self.done % self._halving == 0:
+            self._halve()
+
+    def _halve(self) -> None:
+        """End the worse half of the runs, by their best individuals over the last samples."""
+        lately = np.mean(self.best[-3 * self._refresh :], axis=0)
+        order = np.argsort(np.where(self.running, -lately, np.inf), kind="stable")
+        self.running[order[-(-self.running.sum() // 2) :]] = False
 
     def candidates(self) -> NDArray[np.float64]:
         """Return the individuals [N, C, G] among which the best of each run is chosen."""

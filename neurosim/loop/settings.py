@@ -39,6 +39,8 @@ class RobustSettings(Checked):
         generations: Generations of --robust, after those without noise.
         draws: Random samples for every individual of a generation of --robust.
         refresh: number of generations that share the same samples; new samples prevent overfitting.
+        settling: number of generations without noise that a run goes on once it completes the task.
+        halving: number of generations after which the worse half of the runs ends, repeated.
         selection_draws: number of samples for the final choice of an individual.
         genetic: the genetic algorithm; its mutation is finer than before.
     """
@@ -47,6 +49,8 @@ class RobustSettings(Checked):
     generations: Count = 300
     draws: Count = 32
     refresh: Count = 10
+    settling: Count = 100
+    halving: Count = 100
     selection_draws: Count = 1024
     genetic: GeneticSettings = ROBUST_GENETIC
 

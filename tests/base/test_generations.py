@@ -18,6 +18,8 @@ from neurosim.loop.evaluate import Fitness
 class Counting:
     """Counts generations; calls a function in the generation of a given number."""
 
+    ended = False
+
     def __init__(self, at=0, then=None):
         self.done, self._at, self._then = 0, at, then
         self.worked = 0

@@ -17,7 +17,7 @@ from neurosim.controllers import FixedPlan, Plan
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import evolve
-from neurosim.loop.search import Search
+from neurosim.loop.search import Search, new_optimiser
 from neurosim.loop.settings import PLAN_GENETIC, EvolveSettings, RobustSettings
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators.base import Simulator
@@ -209,12 +209,51 @@ def test_robust_plans_succeed_more_often_and_say_how_often(objective):
         history = result.evolution["history"]
         assert result.predicted["draws"] == 400
         assert 0 <= result.predicted["probability"] <= 1
-        assert len(history["best"]) == 12
+        assert 1 <= len(history["best"]) <= 12  # it ends when every run has completed the task
         assert len(history["robust_best"]) == len(history["robust_mean"]) == 8
     name = "expected_fitness" if objective == "fitness" else "probability"
     merit = lambda r: r.predicted[name]  # noqa: E731
     assert [merit(r) for r in after] == sorted(map(merit, after), reverse=True)
     assert merit(after[0]) >= max(map(merit, before)) - 0.02
+
+
+def runs_of(task, runs, **settings):
+    evaluator = Evaluator(SlippingWheels(), task, Plan(slots=2))
+    how = replace(SMALL, runs=runs, genetic=GeneticSettings(population=8, tournament=3))
+    search = Search(evaluator, new_optimiser(evaluator.controller, how, 2), seed=[0], **settings)
+    judged, merit = [], evaluator.merit
+    evaluator.merit = lambda genes, *rest: judged.append(len(genes) // 8) or merit(genes, *rest)
+    return search, judged
+
+
+def test_runs_end_some_time_after_they_complete_the_task():
+    search, judged = runs_of(FirstRectangle(), 5, settling=2)
+    kept = {}
+    while not search.ended:
+        search.generation()
+        assert search.done < 100
+        for run in np.flatnonzero(~search.running):
+            kept.setdefault(run, (search.population[run].copy(), search.top[run].copy()))
+    assert judged[:3] == [5] * 3
+    assert 5 > judged[-1] > 0
+    assert judged == sorted(judged, reverse=True)
+    success = search._evaluator.judge(search.top, search._evaluator.expectation())[0].success
+    assert success.all()
+    for run, (population, top) in kept.items():
+        np.testing.assert_array_equal(search.population[run], population)
+        np.testing.assert_array_equal(search.top[run], top)
+
+
+def test_the_worse_half_of_the_runs_ends_again_and_again():
+    search, judged = runs_of(NineRectangles(), 5, samples=4, refresh=2, halving=3)
+    running = []
+    for _ in range(12):
+        search.generation()
+        running.append(search.running.copy())
+    assert judged == [5] * 3 + [3] * 3 + [2] * 3 + [1] * 3
+    lately = np.mean(search.best[:3], axis=0)
+    assert lately[running[2]].min() >= lately[~running[2]].max()
+    assert not search.ended
 
 
 def test_a_probability_is_that_of_drives_made_one_by_one():

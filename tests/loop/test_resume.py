@@ -27,7 +27,9 @@ from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 
 GENETIC = GeneticSettings(population=20, tournament=4)
 PLANS = EvolveSettings(generations=7, runs=2, genetic=GENETIC, final_draws=20)
-ROBUST = RobustSettings(generations=7, draws=4, refresh=3, selection_draws=10, genetic=GENETIC)
+ROBUST = RobustSettings(
+    generations=7, draws=4, refresh=3, halving=3, selection_draws=10, genetic=GENETIC
+)
 FEW = replace(NETWORK_GENETIC, population=8, parents=3)
 NETWORKS = EvolveSettings(
     generations=7, genetic=FEW, samples=1, objective="steady", selection=4, final_draws=8
