@@ -10,6 +10,7 @@ import sys
 import click
 import pytest
 from patience import PATIENCE
+from processes import finished, process
 
 from neurosim.base.interrupts import (
     INTERRUPTED,
@@ -155,9 +156,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("delay", [0.013, 0.047, 0.081, 0.123, 0.171])
 def test_ctrl_c_while_a_task_is_judged_on_all_cores(delay):
     script = KERNEL.format(delay=delay)
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE
-    )
+    done = finished(process(script))
     assert done.returncode == 130, done.stderr
     assert done.stderr == ""
 

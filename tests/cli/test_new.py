@@ -2,12 +2,10 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 from click.testing import CliRunner
-from processes import neurosim
+from processes import finished, neurosim, process
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import cli
@@ -22,8 +20,10 @@ FILES = {
 }
 
 
-def run(folder, *words):
-    done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True)
+def run(folder, module, *words):
+    """Run a module as ``python -m`` does."""
+    program = f"import runpy\nrunpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+    done = finished(process(program, *words, cwd=folder))
     return done.returncode, done.stdout, done.stderr
 
 
@@ -49,7 +49,7 @@ def test_there_is_a_template_of_each_kind(made):
 
 
 def test_the_code_is_formatted_and_clean(made):
-    ruff = ["-m", "ruff"]
+    ruff = ["ruff"]
     chosen = ["--select", "E,F,W,B,UP,SIM,RUF", "--ignore", "RUF043", "--line-length", "100"]
     code, message, _ = run(made, *ruff, "check", "--isolated", *chosen, ".")
     assert code == 0, message
@@ -62,7 +62,7 @@ def test_the_code_is_formatted_and_clean(made):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_its_own_test_passes(made, kind):
-    code, message, _ = run(made, "-m", "pytest", "-q", "-p", "no:cacheprovider", NAMES[kind])
+    code, message, _ = run(made, "pytest", "-q", "-p", "no:cacheprovider", NAMES[kind])
     assert code == 0, message
     assert re.search(r"^[2-9] passed", message, re.MULTILINE)
 

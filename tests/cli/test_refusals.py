@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from khepera_data import made_up
 from patience import PATIENCE, wait_until
-from processes import started
+from processes import neurosim, started
 
 from neurosim.base.files import write_csv, write_json
 from neurosim.cli.main import cli, main, run_plugin
@@ -597,8 +597,6 @@ def test_a_demo_goes_on_where_it_stopped(tmp_path):
 
 @pytest.mark.slow
 def test_what_numpy_warns_of_does_not_reach_the_terminal(tmp_path):
-    import subprocess
-
     table = made_up()
     samples = [tmp_path / f"{name}.sample" for name in OBJECTS]
     for mean, path in zip(table.mean, samples, strict=True):
@@ -607,9 +605,7 @@ def test_what_numpy_warns_of_does_not_reach_the_terminal(tmp_path):
     motors = tmp_path / "motors.csv"
     motors.write_text("\n".join(["left,right,duration,dx,dy,dtheta", *rows, ""]))
     words = ["build-tables", *samples, "--motors", motors, "-o", tmp_path / "s"]
-    child = subprocess.run(
-        [sys.executable, "-m", "neurosim", *words], capture_output=True, text=True, check=False
-    )
+    child = neurosim(*words, cwd=tmp_path, check=False)
     assert child.returncode == 1
     stderr = child.stderr.splitlines()
     assert len(stderr) == 1

@@ -3,13 +3,13 @@
 import json
 import math
 import os
-import subprocess
-import sys
+import signal
 
 import numpy as np
 import pytest
 import serial
 from patience import PATIENCE, wait_until
+from processes import finished, neurosim, started
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.base.place import Place
@@ -166,21 +166,16 @@ def test_no_room_at_the_start():
         VirtualKheperaRig(0, start=(0.0, 0.0, 0.0))
 
 
-def run(*arguments, **options):
-    command = [sys.executable, "-m", "neurosim", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
-
-
 @pytest.mark.slow
 def test_from_the_command_line(tmp_path):
     arena = tmp_path / "arena.json"
     Place.rectangle(1.0, 1.0).write(arena)
-    process = run(
+    process = started(
         "lab", "khepera", "--place", arena, "--socket", "--seconds", PATIENCE, "--start", 10, 0, 90,
         "--json",
     )  # fmt: skip
     try:
-        text = "".join(process.stdout.readline().decode() for _ in range(4))
+        text = "".join(process.stdout.readline() for _ in range(4))
         content = json.loads(text)
         assert content["baud"] == 9600
         with Khepera(content["port"], timeout=PATIENCE) as robot:
@@ -189,14 +184,15 @@ def test_from_the_command_line(tmp_path):
             robot.stop()
             assert max(robot.read_proximity()) < 60
     finally:
-        process.terminate()
-        process.communicate(timeout=PATIENCE)
+        process.send_signal(signal.SIGTERM)
+        finished(process)
 
 
 @pytest.mark.slow
-def test_a_start_outside_the_arena():
-    process = run("lab", "khepera", "--start", 50, 0, 0, "--seconds", 1)
-    _, error = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1
-    assert b"outside the outline" in error
-    assert b"Traceback" not in error
+def test_a_start_outside_the_arena(tmp_path):
+    done = neurosim(
+        "lab", "khepera", "--start", 50, 0, 0, "--seconds", 1, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 1
+    assert "outside the outline" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
+from processes import finished, process
 
 from neurosim.lab import Pacer, VirtualRig
 from neurosim.lab.nxt import world
@@ -108,11 +109,5 @@ def test_a_line_that_closes_does_not_hang_up_a_notebook(tmp_path):
         "    robot.drive((10, 10))\n"
         "print('alive')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        start_new_session=True,
-        timeout=PATIENCE,
-    )
+    done = finished(process(program, session=True))
     assert (done.returncode, done.stdout) == (0, "alive\n"), done.stderr

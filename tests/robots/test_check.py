@@ -1,11 +1,9 @@
 """Findings about virtual robots: correct ones, and ones with a single fault."""
 
 import json
-import subprocess
-import sys
 
 import pytest
-from patience import PATIENCE
+from processes import neurosim
 
 from neurosim.base.commands import Commands, Number
 from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig
@@ -143,15 +141,12 @@ def test_a_slow_line_is_found():
 
 
 @pytest.mark.slow
-def test_from_the_command_line():
-    run = [sys.executable, "-m", "neurosim", "check-robot", "--robot"]
-    done = subprocess.run([*run, "virtual-car", "--json"], capture_output=True, text=True,
-                          timeout=PATIENCE)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+def test_from_the_command_line(tmp_path):
+    run = ["check-robot", "--robot"]
+    done = neurosim(*run, "virtual-car", "--json", cwd=tmp_path)
     content = json.loads(done.stdout)
     assert content["robot"]["name"] == "car"
     assert content["wrong"] == 0
-    done = subprocess.run([*run, "virtual-khepera"], capture_output=True, text=True,
-                          timeout=PATIENCE)  # fmt: skip
+    done = neurosim(*run, "virtual-khepera", cwd=tmp_path, check=False)
     assert done.returncode == 1
     assert "WRONG  self-stopping: nothing stops it" in done.stdout
