@@ -54,6 +54,7 @@ from neurosim.loop.journal import Journal
 from neurosim.loop.settings import default_settings
 from neurosim.loop.transfer import Transfer
 from neurosim.robots.khepera.dialects import dialect_named
+from neurosim.robots.serial_line import SerialLine
 from neurosim.sampling import SampleSettings, sample, sampled_reaction
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.motor_table import MotorTable
@@ -119,21 +120,16 @@ def run(
     return row
 
 
-class DirectLine:
+class DirectLine(SerialLine):
     """A robot's line that takes bytes to the lab and back itself, as the one to a port would."""
 
-    is_open, port = False, "direct"
-
     def __init__(self, cable: SerialCable, baud: int):
-        self._cable, self._answers, self.baud = cable, [], baud
+        super().__init__("direct", baud=baud)
+        self._cable, self._answers = cable, []
 
     def open(self) -> None:
         """Take the line up."""
-        self.is_open = True
-
-    def close(self) -> None:
-        """Take the line down."""
-        self.is_open = False
+        self._serial = self._cable
 
     def write(self, data: bytes) -> None:
         """Send bytes, and let the lab answer them."""
