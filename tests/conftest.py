@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from pathlib import Path
 
 import pytest
 
-# Two workers share two cores: threads that wait for others must not keep a core busy.
+# Workers share the cores: threads that wait for others must not keep a core busy.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 # A shell that starts the tests in the background, or nohup, makes them and their child processes
@@ -22,6 +23,18 @@ for name in ("SIGHUP", "SIGQUIT"):
 SLOW_FIXTURES = {"pipeline", "browser", "tab"}
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    # All tests of all files are half a million objects: the collector goes through them neither
+    # again and again while they are made, nor at each full collection later.
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items):

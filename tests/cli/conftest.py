@@ -18,8 +18,12 @@ def refused(tmp_path, monkeypatch, capsys):
     # Slow commands print their progress on stderr, too; only the one sentence is checked.
     monkeypatch.setattr("neurosim.base.progress.LINE_EVERY", math.inf)
 
+    def files() -> list[str]:
+        """Return all paths but Python's bytecode of a plug-in."""
+        return sorted(str(path) for path in tmp_path.rglob("*") if "__pycache__" not in path.parts)
+
     def run(*words) -> str:
-        before = sorted(str(path) for path in tmp_path.rglob("*"))
+        before = files()
         monkeypatch.setattr(sys, "argv", ["neurosim", *map(str, words)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
@@ -30,7 +34,7 @@ def refused(tmp_path, monkeypatch, capsys):
         assert message.startswith("neurosim: ")
         assert message.count("\n") == 1, message
         assert "Traceback" not in message
-        assert sorted(str(path) for path in tmp_path.rglob("*")) == before
+        assert files() == before
         return message
 
     return run
