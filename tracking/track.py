@@ -35,7 +35,7 @@ from tracking.markers.palette import STILL, warning
 from tracking.markers.sought import Sought, sought
 from tracking.markers.tag_tracker import TagTracker, numbers_in
 from tracking.markers.tags import Tag
-from tracking.poses import board_poses, marker_geometry, unwrap
+from tracking.poses import board_poses, marker_geometry, too_small, unwrap
 
 #: Time between the frames that are searched for tags, s.
 LOOK_FOR_TAGS_EVERY = 0.5
@@ -112,7 +112,9 @@ def track(
             continue
         if ended and not partial and session not in (live or {}):
             _check_times(source, session, 0 if times is None else len(times))
-        seen = (live or {}).get(session) or follow(
+        tracked_live = (live or {}).get(session)
+        small = None if tracked_live else too_small(markers, camera)  # told before a live drive
+        seen = tracked_live or follow(
             path,
             what,
             geometry=geometry,
@@ -136,7 +138,7 @@ def track(
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
                 problem = disagreement(clock, seen.time, certain, driven, whole=whole)
         except UserError as error:
-            raise UserError(f"{path}: {error}") from None
+            raise UserError(f"{path}: {small or error}") from None
         at = clock.to_robot(seen.time)
         unclear = _unclear(seen.doubtful, at, poses, driven)
         part = Poses(
@@ -149,7 +151,7 @@ def track(
             {
                 **_session_summary(session, path, seen, clock, delay),
                 "frames_missing": max(missing, 0),
-                "warning": problem,
+                "warning": problem or small,
             }
         )
     if not parts:

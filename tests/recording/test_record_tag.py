@@ -155,3 +155,14 @@ def test_a_tag_that_is_too_small_in_the_picture(size, width):
     assert too_small(colours, seen_by) is None
     message = too_small(tag, seen_by)
     assert message is None if width is None else f"a cell of the tag is {width} wide" in message
+
+
+@pytest.mark.slow
+def test_a_tag_that_is_too_small_in_a_video(kept, tmp_path, monkeypatch):
+    folder = tmp_path / "r"
+    shutil.copytree(kept.path, folder)
+    done = CliRunner().invoke(command, [str(folder)], catch_exceptions=False)
+    assert "a cell of the tag" not in done.stderr
+    monkeypatch.setattr("tracking.poses.SMALLEST_CELL", 9.0)  # pixels, more than in this camera
+    done = CliRunner().invoke(command, [str(folder)], catch_exceptions=False)
+    assert (done.exit_code, done.stderr.count("session 1: a cell of the tag is ")) == (0, 1)
