@@ -45,6 +45,7 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=20, help="in each of them")
     parser.add_argument("--generations", type=int, default=150)
     parser.add_argument("--runs", type=int, default=4)
+    parser.add_argument("--step", type=float, default=0.1, help="of the drives that judge, s")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lab-arenas", type=int, default=20)
     parser.add_argument("--lab-drives", type=int, default=0, help="in each of these")
@@ -76,7 +77,9 @@ def main() -> None:
     )
     for where, drive, there, drives in cases:
         for name, genes in result.items() if drives else ():
-            touched, fitness = drive(tables, network, genes, there, drives, options.seed)
+            touched, fitness = drive(
+                tables, network, genes, there, drives, options.seed, options.step
+            )
             row = {"where": where, "name": name, "drives": touched.size}
             of_arenas = touched.mean(1)
             row |= {"touched": of_arenas.mean(), "error": of_arenas.std() / len(there) ** 0.5}
@@ -94,10 +97,16 @@ def main() -> None:
 
 
 def in_tables(
-    tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, seed: int
+    tables: Any,
+    network: Any,
+    genes: np.ndarray,
+    arenas: list[Any],
+    drives: int,
+    seed: int,
+    step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return whether the drives in each arena touch something, and their fitness, [A, D] each."""
-    rng, episode = np.random.default_rng(seed), Episode(0.1, round(10 * SECONDS), readings=True)
+    rng, episode = np.random.default_rng(seed), Episode(step, round(SECONDS / step), readings=True)
     touched, fitness = [], []
     for arena in arenas:
         simulator = tables.changed(place=arena)
@@ -119,18 +128,19 @@ def in_the_lab(
     arenas: list[Any],
     drives: int,
     seed: int,
+    step: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the same arrays of drives of a robot of the virtual lab."""
     rng = np.random.default_rng(seed)
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):
         simulator = tables.changed(place=arena)
-        task = ObstacleAvoidance()
+        task = ObstacleAvoidance(duration=step)
         with reality(network, task, simulator, lab_seed=robot, seed=seed + a) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):
                 trials.rest()
                 trials._place(start)
-                driven = trials.drive(genes, round(10 * SECONDS), trials._pose(start))
+                driven = trials.drive(genes, round(SECONDS / step), trials._pose(start))
                 assert driven.poses is not None
                 touched[a, d] = simulator.touching(driven.poses[1:]).any()
                 fitness[a, d] = avoidance(driven)
