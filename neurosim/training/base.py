@@ -145,11 +145,13 @@ class Trainer(Protocol):
         source: publication of the method.
         settings_type: class of its settings, a frozen dataclass.
         generations: number of calls of :meth:`advance`.
+        device: where it computes, which may differ from the wanted one.
     """
 
     source: str
     settings_type: type
     generations: int
+    device: str
 
     def __init__(self, data: TrainingData, settings: Any, seed: int, device: str) -> None: ...
 

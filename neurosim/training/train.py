@@ -118,7 +118,7 @@ def train(
             "trainer": trainer,
             "source": learner.source,
             "seed": seed,
-            "device": device,
+            "device": getattr(learner, "device", device),
             "held_out": HELD_OUT,
             **asdict(chosen),
             "rows": len(earlier),

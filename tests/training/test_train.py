@@ -1,4 +1,5 @@
 import json
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -96,6 +97,14 @@ def test_the_same_seed_gives_the_same_simulator_and_another_one_another(tmp_path
         made[name] = outcome(tmp_path / name)
     assert made["a"] == made["b"]
     assert made["a"][1] != made["c"][1]
+
+
+@pytest.mark.slow
+def test_the_device_is_the_one_that_computed(tmp_path, dataset, monkeypatch):
+    module = sys.modules[train.__module__]
+    monkeypatch.setattr(module, "check_device", lambda device: None)
+    wanted = train(dataset, tmp_path / "s", device="cuda", **QUICK_ENSEMBLE)
+    assert wanted.meta["training"]["device"] == "cpu"
 
 
 def test_an_interrupted_training_leaves_nothing(tmp_path, dataset, monkeypatch):

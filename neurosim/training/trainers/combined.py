@@ -164,6 +164,7 @@ class CombinedTrainer:
     settings_type = CombinedSettings
     #: The drive model, the Gaussian process, and the members.
     generations = 3
+    device = "cpu"
 
     def __init__(
         self, data: TrainingData, settings: CombinedSettings, seed: int, device: str = "cpu"

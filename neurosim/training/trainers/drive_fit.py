@@ -655,7 +655,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     product = torch.arange(pieces.shape[2]) >= len(motion.columns.driven)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _regression(pieces.sum(1), turn, product, weight)
+    rate, turns_left = _huber_regressions(pieces.sum(1), turn, product, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -665,7 +665,9 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     moved = se2.mid_turn(y)
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     twice = torch.cat([weight, weight])
-    speeds, shifts_left = _regression(both, moved[:, :2].T.flatten(), product.repeat(2), twice)
+    speeds, shifts_left = _huber_regressions(
+        both, moved[:, :2].T.flatten(), product.repeat(2), twice
+    )
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
@@ -684,7 +686,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     return kinematics, errors
 
 
-def _regression(
+def _huber_regressions(
     features: Tensor, target: Tensor, product: Tensor, weight: Tensor
 ) -> tuple[Tensor, Errors]:
     """Return the weights [P, F] of regressions with Huber's loss, and their errors.

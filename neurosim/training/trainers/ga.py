@@ -46,7 +46,7 @@ class GaTrainer:
     def __init__(self, data: TrainingData, settings: GaSettings, seed: int, device: str = "cpu"):
         self.generations = settings.generations
         self._data = data
-        self._device = device
+        self.device = device
         self._network = network = ProductSummationNetwork(len(data.inputs), *settings.hidden)
         self._scale = root_mean_square(data.y)
         self._error = PopulationError(
@@ -58,7 +58,7 @@ class GaTrainer:
         self._ga = GeneticAlgorithm(settings.initial * first, settings, generator)
 
     def advance(self) -> Tensor:
-        with one_thread(self._device) if self._error.kernel else nullcontext():
+        with one_thread(self.device) if self._error.kernel else nullcontext():
             self._ga.tell(1.0 / self._error(self._ga.ask()))
         return self._scale.square() / self._ga.best_fitness.cpu()
 

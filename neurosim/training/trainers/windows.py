@@ -357,7 +357,9 @@ class Chains:
         distance, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
         product = torch.arange(width) >= self.commanded.shape[1]
-        rate, turns_left = _regression(distance[end] - distance[first], turn, windows, product)
+        rate, turns_left = _student_regression(
+            distance[end] - distance[first], turn, windows, product
+        )
         # The turn of a row by the model, plus the model's error.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -379,11 +381,11 @@ class Chains:
         both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
-        speeds, shifts_left = _regression(both, moved.T.flatten(), twice, product.repeat(2))
+        speeds, shifts_left = _student_regression(both, moved.T.flatten(), twice, product.repeat(2))
         return torch.stack([*speeds.view(2, width), rate], dim=1), turns_left + shifts_left
 
 
-def _regression(
+def _student_regression(
     features: Tensor,
     target: Tensor,
     windows: Windows,
