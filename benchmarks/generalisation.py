@@ -11,7 +11,7 @@ ends and corners are seen less well than a wall. 0 leaves them out.
     neurosim sample samples --grid 5 --repeats 2
     neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables
     python benchmarks/generalisation.py tables             about ten minutes
-    python benchmarks/generalisation.py tables --lab-drives 10
+    python benchmarks/generalisation.py tables --step 0.05 --lab-drives 10
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=20, help="in each of them")
     parser.add_argument("--generations", type=int, default=150)
     parser.add_argument("--runs", type=int, default=4)
-    parser.add_argument("--step", type=float, default=0.1, help="of the drives that judge, s")
+    parser.add_argument("--step", type=float, default=0.1, help="of all but the paper's evolution, s")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lab-arenas", type=int, default=20)
     parser.add_argument("--lab-drives", type=int, default=0, help="in each of these")
@@ -53,7 +53,10 @@ def main() -> None:
     options = parser.parse_args()
     tables = ns.load(options.tables)
     paper = ns.make_task("obstacle-avoidance")
-    many = ns.make_task("obstacle-avoidance", steps=6000, starts=20, contacts="end")
+    steps = 20 * round(30.0 / options.step)
+    many = ns.make_task(
+        "obstacle-avoidance", steps=steps, starts=20, contacts="end", duration=options.step
+    )
     network = ns.make_controller("network", tables, paper)
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
     vehicle, weights = braitenberg(tables.reading_names, tables.bearings)
