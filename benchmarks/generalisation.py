@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=20, help="in each of them")
     parser.add_argument("--generations", type=int, default=150)
     parser.add_argument("--runs", type=int, default=4)
-    parser.add_argument("--step", type=float, default=0.1, help="of all but the paper's evolution, s")
+    parser.add_argument("--step", type=float, default=0.1, help="s; the paper's is 0.1")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lab-arenas", type=int, default=20)
     parser.add_argument("--lab-drives", type=int, default=0, help="in each of these")
@@ -135,11 +135,12 @@ def in_the_lab(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the same arrays of drives of a robot of the virtual lab."""
     rng = np.random.default_rng(seed)
+    line = {"baud": tables.meta["baud"]} if "baud" in tables.meta else {}
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):
         simulator = tables.changed(place=arena)
         task = ObstacleAvoidance(duration=step)
-        with reality(network, task, simulator, lab_seed=robot, seed=seed + a) as trials:
+        with reality(network, task, simulator, lab_seed=robot, seed=seed + a, **line) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):
                 trials.rest()
                 trials._place(start)
