@@ -32,7 +32,7 @@ from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.loop.workers import workers_named
 from neurosim.simulators.base import Rollouts, Simulator
-from neurosim.simulators.engine import CompiledRollouts
+from neurosim.simulators.engine import ThreadSafe
 from neurosim.simulators.registry import simulator_of
 from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
@@ -167,7 +167,6 @@ class Evaluator:
         """Return the results of :meth:`merit_of` for parts of a population, in order.
 
         Each core judges whole individuals, because that needs it to wait for others only once.
-        Rollouts that are not compiled may not be used by several threads.
         """
         parts: dict[int, list[Any]] = {}
 
@@ -176,7 +175,7 @@ class Evaluator:
                 cut = self._parts(last - first, len(draws))
                 parts[first] = [self.merit_of(genes[first:last][p], draws, *how) for p in cut]
 
-        if isinstance(self.rollouts, CompiledRollouts):
+        if isinstance(self.rollouts, ThreadSafe):
             on_cores(None, part, len(genes))
         else:
             part(0, len(genes))

@@ -255,7 +255,11 @@ def _on_cores(
     on_cores(functions.drive, part, groups, least)
 
 
-class CompiledRollouts:
+class ThreadSafe:
+    """Base of rollouts that several threads may run at once."""
+
+
+class CompiledRollouts(ThreadSafe):
     """Rollouts of one kind of controller in a simulator with compiled functions."""
 
     def __init__(self, simulator: Any, controller: Any, episode: Episode):

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numba
 import numpy as np
 import pytest
+from khepera_data import made_up
 from motion_networks import noise_model, random_motion_network
 
 from neurosim.base.errors import UserError
@@ -17,7 +18,9 @@ from neurosim.controllers.registry import make_controller
 from neurosim.loop import evaluate as module
 from neurosim.loop.evaluate import Evaluator, evaluate
 from neurosim.loop.workers import workers_named
+from neurosim.simulators import TableSimulator
 from neurosim.tasks.nine_rectangles import NineRectangles
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 
 
 def test_refusals(monkeypatch):
@@ -42,6 +45,19 @@ def test_two_cores_judge_as_one_does(kind):
     assert len(np.unique(merits[0].merit)) > 5
     np.testing.assert_array_equal(merits[1], merits[0])
     np.testing.assert_array_equal(merits[2], merits[0])
+
+
+def test_two_cores_judge_in_many_arenas_as_one_does():
+    task = ObstacleAvoidance(steps=120, starts=6, contacts="end")
+    arenas = TableSimulator(made_up(2, 0.01)).elsewhere(3, 0)
+    evaluator = Evaluator(arenas, task, make_controller("network", arenas, task))
+    genes = np.random.default_rng(0).normal(size=(9, evaluator.controller.genes))
+    merits = []
+    for cores in (1, 2):
+        with threads(cores):
+            merits.append(evaluator.merit(genes, evaluator.draw(1, 1))[0].merit)
+    assert len(np.unique(merits[0])) > 5
+    np.testing.assert_array_equal(*merits)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.engine import ThreadSafe
 
 #: Distance from the middle of one arena to that of the next, m.
 PITCH = 100.0
@@ -189,7 +190,7 @@ class ManyArenas(Simulator):
         return parts
 
 
-class _Rollouts:
+class _Rollouts(ThreadSafe):
     """Rollouts in many arenas: those of the tables, arena by arena."""
 
     def __init__(self, simulator: ManyArenas, controller: Any, episode: Episode):
