@@ -73,16 +73,14 @@ def main() -> None:
     rng = np.random.default_rng(2**31 + options.seed)
     arenas = [random_arena(rng, tables.radius, inner=options.inner) for _ in range(options.arenas)]
     rows = []
-    lab = partial(in_the_lab, REALITIES.get(options.robot), options.lab_seed)
+    lab = partial(in_the_lab, REALITIES.get(options.robot))
     cases = (
         ("tables", in_tables, arenas, options.drives),
         ("lab", lab, arenas[: options.lab_arenas], options.lab_drives),
     )
     for where, drive, there, drives in cases:
         for name, genes in result.items() if drives else ():
-            touched, fitness = drive(
-                tables, network, genes, there, drives, options.seed, options.step
-            )
+            touched, fitness = drive(tables, network, genes, there, drives, options)
             row = {"where": where, "name": name, "drives": touched.size}
             of_arenas = touched.mean(1)
             row |= {"touched": of_arenas.mean(), "error": of_arenas.std() / len(there) ** 0.5}
@@ -100,16 +98,11 @@ def main() -> None:
 
 
 def in_tables(
-    tables: Any,
-    network: Any,
-    genes: np.ndarray,
-    arenas: list[Any],
-    drives: int,
-    seed: int,
-    step: float,
+    tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, options: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return whether the drives in each arena touch something, and their fitness, [A, D] each."""
-    rng, episode = np.random.default_rng(seed), Episode(step, round(SECONDS / step), readings=True)
+    rng, step = np.random.default_rng(options.seed), options.step
+    episode = Episode(step, round(SECONDS / step), readings=True)
     touched, fitness = [], []
     for arena in arenas:
         simulator = tables.changed(place=arena)
@@ -124,23 +117,23 @@ def in_tables(
 
 def in_the_lab(
     reality: Any,
-    robot: int,
     tables: Any,
     network: Any,
     genes: np.ndarray,
     arenas: list[Any],
     drives: int,
-    seed: int,
-    step: float,
+    options: Any,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the same arrays of drives of a robot of the virtual lab."""
+    seed, step = options.seed, options.step
     rng = np.random.default_rng(seed)
-    line = {"baud": tables.meta["baud"]} if "baud" in tables.meta else {}
+    robot = {"lab_seed": options.lab_seed}
+    robot |= {"baud": tables.meta["baud"]} if "baud" in tables.meta else {}
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):
         simulator = tables.changed(place=arena)
         task = ObstacleAvoidance(duration=step)
-        with reality(network, task, simulator, lab_seed=robot, seed=seed + a, **line) as trials:
+        with reality(network, task, simulator, seed=seed + a, **robot) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):
                 trials.rest()
                 trials._place(start)
