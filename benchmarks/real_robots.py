@@ -20,8 +20,9 @@ output; for each robot their mean over lengths and outputs, and by how many poin
 off on average.
 
 Constants were chosen on some of the robots: those of learning by windows on ``dart``, ``asphalt``
-and ``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``. ``gravel``,
-``sand``, ``utias`` and ``lab 105`` are only reported.
+and ``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``, that of a slow
+body on two boats that are not here. ``gravel``, ``sand``, ``utias``, ``lab 105``, ``four wheels``,
+``boat`` and ``barge`` are only reported. The last five, simulated, are driven as by hand.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
 expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).
@@ -34,7 +35,8 @@ import json
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +45,7 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 from real_peers import PETS_STEP, Lagged, Pets, Regressor
-from zoo_robots import ZOO
+from zoo_robots import ZOO, LabRobot
 
 from neurosim.base import files, se2
 from neurosim.simulators import MotionNetwork
@@ -62,7 +64,7 @@ READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
 HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
 #: Commands are sampled in steps of this, s, from this long before a window on; windows begin this
 #: often in the earlier rows, and in the held-out ones; and the largest number of windows.
-STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 3.0, 0.1, 0.25, 1200, 300
+STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 8.0, 0.1, 0.25, 1200, 300
 #: A speed before a window is measured over this time, s.
 BEFORE = 0.1
 #: Number of samples of each window.
@@ -166,19 +168,24 @@ def utias() -> Robot:
     return of_logs(("v", "w"), [log_of("1", odometry[:, 0], odometry[:, 1:], poses)])
 
 
-def lab(name: str, seconds: float = 150.0) -> Robot:
-    """Return a robot of the virtual lab, driven as by hand: commands change ten times a second."""
-    rng, count = np.random.default_rng([int(name.split()[1]), 31]), round(10 * seconds)
+def by_hand(name: str, seconds: float = 150.0) -> Robot:
+    """Return a robot of the zoo, driven as by hand: commands change ten times a second."""
+    robot, count = ZOO[name], round(10 * seconds)
+    if not isinstance(robot, LabRobot):  # the noise of a pose is that of a command of 1.75 s
+        relative, *pose = robot.noise
+        robot = replace(robot, noise=(relative, *(0.24 * size for size in pose)))
+    rng = np.random.default_rng([robot.lab_seed if isinstance(robot, LabRobot) else 0, 31])
     # The mean of both motors and their difference wander; now and then the robot is let go.
     wander = np.zeros((count, 2))
     for n in range(1, count):
         wander[n] = 0.93 * wander[n - 1] + rng.normal(0, (24.0, 9.0))
     wander *= np.repeat(rng.random(count // 30 + 1) < 0.85, 30)[:count, None]
-    commanded = np.clip(
-        np.stack([wander[:, 0] - wander[:, 1], wander.sum(1)], 1), -100, 100
-    ).round()
+    sides = np.stack([wander[:, 0] - wander[:, 1], wander.sum(1)], 1)
+    each = sides.repeat(len(robot.names) // 2, axis=1)
+    if each.shape != sides.shape:
+        each += rng.normal(0, 5.0, each.shape) * (each != 0)
+    commanded = each.clip(-100, 100).round()
     times = np.tile([1 / 30, 2 / 30, 0.1], (count, 1))
-    robot = ZOO[name]
     starts, ends = robot._poses(np.column_stack([commanded, np.full(count, 0.1)]), times, rng, True)
     # It is put back to the middle of the board now and then, between two commands.
     moved, path = se2.between(starts[:, None], ends), [np.zeros((1, 3))]
@@ -197,8 +204,10 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "sand": lambda: drive("sand"),
     "f1tenth": f1tenth,
     "utias": utias,
-    "lab 104": lambda: lab("lab 104"),
-    "lab 105": lambda: lab("lab 105"),
+    **{
+        name: partial(by_hand, name)
+        for name in ("lab 104", "lab 105", "four wheels", "boat", "barge")
+    },
 }
 
 

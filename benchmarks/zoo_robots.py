@@ -29,7 +29,7 @@ LOOKS = 12
 #: The camera's frame, s; instants are multiples of it.
 FRAME = 1 / 30
 
-DIFFERENTIAL, UNICYCLE, OMNI, CAR = range(4)
+DIFFERENTIAL, UNICYCLE, OMNI, CAR, FOUR = range(5)
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class Robot:
         largest: magnitudes of the largest commands.
         kind: how actuators' speeds make a body twist.
         scale: of an actuator at its largest command, m/s or rad/s (a car's steering: rad).
-        geometry: track width (m) of a differential drive, wheel base (m) of a car.
+        geometry: track width (m) of a differential drive or of four wheels (left ones first),
+            wheel base (m) of a car.
         gain: of each actuator.
         lag: time constants of each actuator, s.
         slowing: of the lag where the speed falls.
@@ -140,6 +141,83 @@ class LabRobot(Robot):
         return _lab(state, commands, times, params.coefficients(), ground, self.delay)
 
 
+@dataclass(frozen=True)
+class Boat(Robot):
+    """A boat with two propellers (Fossen 2011, section 6.4, with three degrees of freedom).
+
+    Attributes:
+        thrust: forward (m/s^2) and turning acceleration (rad/s^2) at full power.
+        drag: forward (1/s and 1/m), sideways (1/s), of the turn (1/s and 1/rad).
+        coupling: sideways acceleration by speed times rate of turn, a fraction, and turning by
+            sideways speed, rad/(s m).
+        backwards: thrust of a propeller that turns backwards, a fraction.
+    """
+
+    thrust: tuple[float, float] = (0.0, 0.0)
+    drag: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    coupling: tuple[float, float] = (0.0, 0.0)
+    backwards: float = 1.0
+
+    @classmethod
+    def drawn(cls, seed: int) -> Boat:
+        """Return a boat with random constants."""
+        rng = np.random.default_rng([seed, 0xB0A7])
+        low = (0.15, 0.7, 0.15, 0.3, 0.6, 0.4, 0.2, 0.3, 0.1, 0.6, 0.08, 0.08)
+        high = (0.5, 2.5, 0.5, 1.0, 1.5, 1.2, 0.8, 0.8, 0.4, 0.9, 0.25, 0.25)
+        own = rng.uniform(low, high).round(3).tolist()
+        return cls(
+            thrust=tuple(own[:2]), drag=tuple(own[2:7]), coupling=tuple(own[7:9]),
+            backwards=own[9], lag=tuple(own[10:]), noise=(0.02, 0.002, 0.01), camera=(0.001, 0.002),
+        )  # fmt: skip
+
+    def _poses(
+        self, commands: Array, times: Array, rng: np.random.Generator, noisy: bool
+    ) -> tuple[Array, Array]:
+        slips = self.noise[0] * rng.standard_normal((len(commands), 2)) * noisy
+        kicks = rng.standard_normal((len(commands), 3)) * noisy
+        kicks *= np.array([self.noise[1], self.noise[1], self.noise[2]])
+        power = commands[:, :2] / np.array(self.largest)
+        power = np.where(power < 0.0, self.backwards * power, power) * (1.0 + slips)
+        constants = (*self.thrust, *self.drag, *self.coupling)
+        return _sail(power, np.array(self.lag), constants, kicks, times)
+
+
+@njit(cache=True)
+def _sail(power, lag, constants, kicks, times):
+    forward, turning, drag, square, aside, slow, slower, sway, weathercock = constants
+    thrust = np.zeros(2)
+    starts = np.zeros((len(power), 3))
+    poses = np.zeros((len(power), times.shape[1], 3))
+    u, v, r, x, y, theta = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(len(power)):
+        starts[i, 0], starts[i, 1], starts[i, 2] = x, y, theta
+        elapsed = 0.0
+        for k in range(times.shape[1]):
+            span = times[i, k] - elapsed
+            steps = max(math.ceil(span / 0.004 - 1e-9), 1)
+            h = span / steps
+            for _ in range(steps):
+                for a in range(2):
+                    thrust[a] += (power[i, a] - thrust[a]) * (1.0 - math.exp(-h / lag[a]))
+                push = 0.5 * forward * (thrust[0] + thrust[1])
+                du = push - (drag + square * abs(u)) * u + sway * v * r
+                dv = -aside * v - sway * u * r
+                dr = 0.5 * turning * (thrust[1] - thrust[0])
+                dr += weathercock * v - (slow + slower * abs(r)) * r
+                u, v, r = u + h * du, v + h * dv, r + h * dr
+                middle = theta + 0.5 * r * h
+                x += h * (u * math.cos(middle) - v * math.sin(middle))
+                y += h * (u * math.sin(middle) + v * math.cos(middle))
+                theta += r * h
+            elapsed = times[i, k]
+            fraction = elapsed / times[i, -1]
+            poses[i, k, 0] = x + kicks[i, 0] * fraction
+            poses[i, k, 1] = y + kicks[i, 1] * fraction
+            poses[i, k, 2] = theta + kicks[i, 2] * fraction
+        x, y, theta = poses[i, -1, 0], poses[i, -1, 1], poses[i, -1, 2]
+    return starts, poses
+
+
 @njit(cache=True)
 def _lab(state, commands, times, p, ground, delay):
     inputs = np.zeros(6)
@@ -205,9 +283,13 @@ def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, sli
                     v, w = q0, q1
                 elif kind == 2:
                     v, side, w = q0, q1, speed[2] * scale[2] * (1.0 + slips[i, 2])
-                else:
+                elif kind == 3:
                     v = q0
                     w = v * math.tan(q1) / geometry
+                else:
+                    q2 = speed[2] * scale[2] * (1.0 + slips[i, 2])
+                    q3 = speed[3] * scale[3] * (1.0 + slips[i, 3])
+                    v, w = 0.25 * (q0 + q1 + q2 + q3), 0.5 * (q2 + q3 - q0 - q1) / geometry
                 side -= slip[2] * v * w
                 v *= 1.0 - min(slip[0] * abs(w), 0.6)
                 w *= 1.0 - min(slip[1] * abs(w), 0.6)
@@ -334,11 +416,22 @@ ZOO: dict[str, Robot] = {
         scale=(1.0, 0.8, 4.0), gain=(1.03, 0.9, 1.0), lag=(0.08, 0.1, 0.06), rate=4.0,
         bend=0.15, dead_band=(0.08, 0.1, 0.08), noise=(0.03, 0.002, 0.01), slip=(0.02, 0.03, 0.02),
     ),
+    "four wheels": Robot(
+        names=("front_left", "rear_left", "front_right", "rear_right"), largest=(100.0,) * 4,
+        kind=FOUR, scale=(0.7, 0.66, 0.68, 0.71), geometry=0.4, lag=(0.15, 0.2, 0.18, 0.16),
+        gain=(1.0, 0.97, 1.03, 1.0), dead_band=(0.06, 0.08, 0.05, 0.07), slowing=0.7,
+        noise=(0.03, 0.002, 0.008), camera=(0.001, 0.002), slip=(0.06, 0.15, 0.03),
+    ),
+    "boat": Boat.drawn(1),
+    "barge": Boat.drawn(2),
 }  # fmt: skip
 
 
 #: Robots that were not looked at while constants of the learner were chosen.
-FRESH = ("lab 104", "lab 105", "rover", "kart", "vacuum", "soccer")
+FRESH = (
+    *("lab 104", "lab 105", "rover", "kart", "vacuum", "soccer"),
+    *("four wheels", "boat", "barge"),
+)
 
 
 def rows(robot: Robot, count: int, seed: int) -> Drives:

@@ -32,6 +32,7 @@ import sys
 import tokenize
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,7 @@ def digest(path: Path) -> str:
     return hashlib.sha256(bare(path.read_text(encoding="utf-8")).encode()).hexdigest()[:16]
 
 
+@cache
 def bare(source: str) -> str:
     """Return Python code without comments, docstrings and blank lines."""
     lines, left_out = source.splitlines(), set()

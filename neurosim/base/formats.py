@@ -666,7 +666,8 @@ class Composition(Format):
     """The parts of a simulator.
 
     Attributes:
-        actuators: laws of each actuator.
+        actuators: laws and dead band of each actuator; the laws may be those of the body's modes,
+            such as ``+0.50 left +0.50 right``.
         delay: delay of all actuators, s.
         kernel_units: number of units of the Gaussian process.
         process: weights of the Gaussian process.

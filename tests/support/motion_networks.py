@@ -52,6 +52,7 @@ def drive_model(seed=0, actuators=2, curved=True, **parts):
         "curve": 0.1 * sampled["curve"] if curved else straight,
         "delay": 0.05 + 0.04 * sampled["delay"],
         "kinematics": torch.tensor([0.15, 0.05, 1.0]) * sampled["kinematics"],
+        "modes": torch.eye(actuators) + 0.3 * torch.tanh(normal(seed + 8, *shapes["modes"])),
     }
     return DriveModel(**(result | parts))
 

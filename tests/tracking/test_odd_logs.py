@@ -162,6 +162,13 @@ def test_clocks_that_differ(imported, late):
     )
 
 
+def test_a_slow_body_is_no_other_clock(imported):
+    time, poses, commands = drive(seconds=120.0, lag=1.5)
+    log = logs.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
+    assert abs(clocks.lateness(log).delay) < 0.1
+    assert "clock" not in imported(time, poses, commands)[1]
+
+
 def test_a_robots_own_delay_is_left_to_training(imported):
     time, poses, commands = drive(120.0, lag=0.1)
     late = np.vstack([np.repeat(commands[:1], 6, axis=0), commands[:-6]])  # 0.3 s

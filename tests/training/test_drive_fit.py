@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,7 +13,7 @@ from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of
 from neurosim.simulators.motion.network import rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion, fit_drive
+from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion, body_modes, fit_drive
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -49,11 +50,12 @@ def test_distances_are_those_of_the_drive_model(motion):
     bands = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.0, 0.3], [0.05, 0.0]], dtype=torch.float64)
     actuators = Actuators.of(laws, bands)
     turning = torch.tensor([-0.4, 0.6], dtype=torch.float64)
-    motion = replace(motion, turning=turning)
+    modes = torch.tensor([[0.6, 0.4], [-0.5, 0.5]], dtype=torch.float64)
+    motion = replace(motion, turning=turning, modes=modes)
     pieces, within = motion.distances(actuators)
     for p in range(len(laws)):
         parts = (torch.from_numpy(part) for part in actuators.one(p)[3:])
-        drive = DriveModel(*parts, torch.zeros(features_of(2), 3), turning)
+        drive = DriveModel(*parts, torch.zeros(features_of(2), 3), turning, None, modes)
         fit = Fit(drive, motion, bands[p], laws[p], True, actuators)
         x = motion.inputs(fit)
         under = rows_underway(drive, motion.columns, x)
@@ -99,3 +101,63 @@ def test_what_a_robot_loses_in_curves_is_found():
 
 def test_a_robot_that_loses_nothing_in_curves_has_no_losses():
     assert not fit_drive(in_curves(0.0, 0.0)).drive.losses.any()
+
+
+def heavy(forward: float, turn: float, modes: bool = True) -> Motion:
+    """Return rows, one straight into the next, of a robot with two lags (s).
+
+    They are of forward motion and the turn, or of the two wheels.
+    """
+    rng = np.random.default_rng(3)
+    double = torch.float64
+    commanded = torch.tensor(rng.uniform(-1.0, 1.0, (200, 2)))
+    time = torch.tensor(rng.uniform(0.5, 2.0, 200))
+    kinematics = torch.zeros(features_of(2), 3, dtype=double)
+    kinematics[:2] = torch.tensor([[0.3, 0.0, 0.0], [0.0, 0.0, 1.5]])
+    body = torch.tensor([[0.5, 0.5], [-0.5, 0.5]], dtype=double)
+    if not modes:
+        kinematics[:2] = body.T @ kinematics[:2]
+    laws = [torch.full((2,), value, dtype=double) for value in (1.0, 1.0, 20.0, 0.0)]
+    true = DriveModel(
+        torch.tensor([forward, turn], dtype=double), *laws,
+        torch.zeros(2, 6, dtype=double), torch.zeros(1, dtype=double), kinematics,
+        modes=body if modes else None,
+    )  # fmt: skip
+    before = torch.cat([torch.zeros(1, 2, dtype=double), commanded[:-1]])
+    x = torch.cat([before, commanded, time[:, None] / 2.0], 1)
+    under, moved = true.begun(torch.zeros(1, 2, dtype=double)), []
+    for goal, lasts in zip(true.shaped(commanded).split(1), time.split(1), strict=True):
+        changing, twist = true.phases(under, goal, lasts)
+        moved.append(se2.compose(changing, se2.exp(twist)))
+        under = true.after(under, goal, lasts, true.reached(under, goal, lasts))
+    y = torch.cat(moved) + torch.tensor(rng.normal(0.0, 0.001, (200, 3)))
+    follows = torch.arange(200) > 0
+    return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0)
+
+
+def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
+    rows = heavy(2.5, 0.5)
+    drive = fit_drive(rows).drive
+    assert drive.modes.flatten().tolist() == pytest.approx([0.5, 0.5, -0.5, 0.5], abs=0.03)
+    assert drive.lag.tolist() == pytest.approx([2.5, 0.5], rel=0.1)
+    # Without them the turn determines both lags.
+    alone = fit_drive(rows, body=False).drive
+    assert torch.equal(alone.modes, torch.eye(2, dtype=torch.float64))
+    assert alone.lag.tolist() == pytest.approx([0.5, 0.5], abs=0.1)
+
+
+def test_wheels_with_lags_of_their_own_have_no_modes():
+    drive = fit_drive(heavy(0.3, 0.15, modes=False)).drive
+    assert torch.equal(drive.modes, torch.eye(2, dtype=torch.float64))
+    assert drive.lag.tolist() == pytest.approx([0.3, 0.15], rel=0.15)
+
+
+def test_forward_motion_and_turn_are_modes_of_four_wheels_too():
+    wheels = torch.tensor([[0.25] * 4, [-0.25, -0.25, 0.25, 0.25]], dtype=torch.float64)
+    modes = body_modes(torch.stack([wheels[0], 0.01 * wheels[1], 4.0 * wheels[1]]))
+    assert modes[:2].flatten().tolist() == pytest.approx(wheels.flatten().tolist())
+    # The other two do not move the body.
+    assert (modes[2:] @ wheels.T).abs().max() < 1e-9
+    assert torch.linalg.matrix_rank(modes) == 4
+    # Those of a robot that is commanded by them are its actuators.
+    assert body_modes(torch.tensor([[0.4, 0.01], [0.0, 0.0], [0.02, 2.0]]).double()) is None

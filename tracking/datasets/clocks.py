@@ -23,7 +23,8 @@ ROBOTS = 0.5
 #: Earliness of poses that counts as none, s, because a command is sent within a step of a log.
 _EARLY = 0.1
 #: Largest delay of poses (s), the grid, tried lags (s), and number of steps.
-_EARLIEST, _LATEST, _STEP, _LAGS, _MOST = -2.0, 3.0, 0.05, (0.0, 0.05, 0.1, 0.2, 0.4), 4000
+_EARLIEST, _LATEST, _STEP, _MOST = -2.0, 3.0, 0.05, 4000
+_LAGS = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 #: Largest remaining fraction of the motion's variance, and of the remainder at a robot's best
 #: possible delay.
 _LEFT, _BETTER = 0.5, 0.8
@@ -75,12 +76,13 @@ def lateness(log: Log) -> Lateness | None:
     given = (place >= 0) & (grid + step / 2 <= log.time[-1])
     commands = log.commands[np.clip(place, 0, len(log.time) - 1)]
     shifts = np.arange(round(_EARLIEST / step), round(_LATEST / step) + 1)
-    left = np.full((len(_LAGS), len(shifts)), np.inf)
+    lefts = np.full((len(_LAGS), len(shifts), twist.shape[1]), np.inf)
     for number, lag in enumerate(_LAGS):
         features = _features(_lagged(commands, step, lag))
         for place_, shift in enumerate(shifts.tolist()):
-            left[number, place_] = _unexplained(features, given, twist, known, shift)
-    left = left.min(0)
+            lefts[number, place_] = _unexplained(features, given, twist, known, shift)
+    # A heavy body, as that of a boat, follows more slowly forward than in a turn, or less.
+    left = np.nan_to_num(np.nanmean(lefts.min(0), 1), nan=np.inf)
     if not np.isfinite(left).any():
         return None
     best = int(left.argmin())
@@ -121,18 +123,21 @@ def _features(speeds: NDArray) -> NDArray:
 
 def _unexplained(
     features: NDArray, given: NDArray, twist: NDArray, known: NDArray, shift: int
-) -> float:
-    """Return the fraction of the motion's variance that earlier commands leave unexplained."""
+) -> NDArray:
+    """Return the fraction of each motion's variance that earlier commands leave unexplained.
+
+    It is infinite where too little is known, and NaN for a motion that does not vary.
+    """
     count = len(twist)
     late = slice(max(shift, 0), count + min(shift, 0))
     early = slice(max(-shift, 0), count - max(shift, 0))
     usable = known[late] & given[early]
     if usable.sum() < max(40, 0.3 * min(known.sum(), given.sum())):
-        return float("inf")
+        return np.full(twist.shape[1], np.inf)
     x, y = features[early][usable], twist[late][usable]
     y = y - y.mean(0)
     spread = (y**2).sum(0)
     moves = spread > 1e-12
     square = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1])
     error = ((y - x @ np.linalg.solve(square, x.T @ y)) ** 2).sum(0)
-    return float((error[moves] / spread[moves]).mean()) if moves.any() else float("inf")
+    return np.where(moves, error / np.where(moves, spread, 1.0), np.nan)

@@ -10,9 +10,11 @@ a limited rate of change:
 The lag has another value if the magnitude of the speed is above that of the goal, and if the goal
 is 0. Static friction holds an actuator that starts or reverses until the integral of the goal has
 overcome it. Within its dead band it stands; beyond it the goal is a static curve of the command,
-separate for forwards and backwards, which need not rise. The speeds, and their products
-by pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at
-small steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
+separate for forwards and backwards, which need not rise. Where the body is slower than its
+actuators, as that of a boat is, s and g are those of modes, linear combinations of the actuators'
+goals: of forward motion, and of the turn. The speeds, and their products by pairs, make a body
+twist, linearly: a differential drive, an omnidirectional base and a car at small steering angles
+are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
 
@@ -113,6 +115,8 @@ class DriveModel:
             default.
         losses: of the twist by speeds times the magnitude of this combination, [C, 3]; zeros by
             default.
+        modes: goals of the laws by goals of the actuators, [C, C]; by default the laws are those of
+            the actuators.
         slots: largest number of pending or acting commands when another one begins.
     """
 
@@ -126,11 +130,13 @@ class DriveModel:
     kinematics: Tensor
     turning: Tensor = None  # type: ignore[assignment]
     losses: Tensor = None  # type: ignore[assignment]
+    modes: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
 
     #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
-    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", "kinematics", "turning", "losses")
+    TWISTS: ClassVar[tuple[str, ...]] = ("kinematics", "turning", "losses")
+    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", *TWISTS, "modes")
 
     def __post_init__(self) -> None:
         count = len(self.lag)
@@ -139,6 +145,7 @@ class DriveModel:
             value = getattr(self, name)
             if value is None:
                 value = self.lag.new_zeros(shapes[name])
+                value = torch.eye(count) if name == "modes" else value
             if tuple(value.shape) != shapes[name]:
                 raise ValueError(
                     f"{name} must be of shape {shapes[name]}, not {tuple(value.shape)}"
@@ -157,7 +164,8 @@ class DriveModel:
         """Return the shapes of the tensors for a number of actuators."""
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
-        return {**each, **rest, "turning": (count,), "losses": (count, 3)}
+        rest |= {"turning": (count,), "losses": (count, 3), "modes": (count, count)}
+        return {**each, **rest}
 
     @property
     def twists(self) -> Tensor:
@@ -170,7 +178,7 @@ class DriveModel:
 
     def shaped(self, command: Tensor) -> Tensor:
         """Return the final speeds of commands [..., C], scaled to -1..1."""
-        return command * (1.0 + (curvature(command) * self.curve).sum(-1))
+        return command * (1.0 + (curvature(command) * self.curve).sum(-1)) @ self.modes.T
 
     def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
         """Return the state at ``speed`` [B, C] with a single command acting.

@@ -79,7 +79,7 @@ class MotionModel(NamedTuple):
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
-    drives: bool  #: whether there is a drive model; if not, the next thirteen hold anything
+    drives: bool  #: whether there is a drive model; if not, the next fourteen hold anything
     slots: int  #: as in DriveModel
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray
@@ -91,6 +91,7 @@ class MotionModel(NamedTuple):
     kinematics: np.ndarray  #: [F, 3], corrected, as are the losses
     turning: np.ndarray  #: [C]
     losses: np.ndarray  #: [C, 3]
+    modes: np.ndarray  #: [C, C]
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -216,7 +217,17 @@ def _scaled(a, value, i):
 
 
 @kernel(forceinline=True)
-def _speed(a, value, c):
+def goal_of(a, modes, commanded, c):
+    """Return the goal of law c for a command [C], see :meth:`DriveModel.shaped`."""
+    goal = 0.0
+    for d in range(len(modes)):
+        if modes[c, d] != 0.0:
+            goal += modes[c, d] * _shaped(a, commanded[d], d)
+    return goal
+
+
+@kernel(forceinline=True)
+def _shaped(a, value, c):
     """Return the final speed of a command for actuator c."""
     x = _scaled(a, value, a.driven[c])
     size, curve = min(abs(x), 1.0), a.curve[c]
@@ -359,7 +370,9 @@ def _inputs(a, state, command, memory, began, x):
             _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])
     for c in range(count):
         memory[2 * count + c] = command[a.source[a.driven[c]]]
-        x[a.before[c]], x[a.driven[c]] = began[c], _speed(a, memory[2 * count + c], c)
+    for c in range(count):
+        goal = goal_of(a, a.modes, memory[2 * count : 3 * count], c)
+        x[a.before[c]], x[a.driven[c]] = began[c], goal
     memory[3 * count] = lasted + time if same else time
     x[a.duration] = memory[3 * count] / a.longest
     return same
@@ -386,7 +399,8 @@ def _queue(a, commanded, lasted, queue):
         fraction = waited / max(waited + lasted, 1e-9)
         for c in range(count):
             place = slots + (slots - 1) * count + c
-            queue[place] = fraction * queue[place] + (1.0 - fraction) * _speed(a, commanded[c], c)
+            goal = goal_of(a, a.modes, commanded, c)
+            queue[place] = fraction * queue[place] + (1.0 - fraction) * goal
         return
     for n in range(slots - 1):
         queue[n] = queue[n + 1]
@@ -394,7 +408,7 @@ def _queue(a, commanded, lasted, queue):
     for i in range(slots, slots + (slots - 1) * count):
         queue[i] = queue[i + count]
     for c in range(count):
-        queue[slots + (slots - 1) * count + c] = _speed(a, commanded[c], c)
+        queue[slots + (slots - 1) * count + c] = goal_of(a, a.modes, commanded, c)
 
 
 @kernel(forceinline=True)

@@ -46,8 +46,8 @@ OUTPUTS = ("dx", "dy", "dtheta")
 HELD = 0.05
 
 #: Number of commands after which an actuator's remaining difference is dropped; more if they are
-#: shorter in all than this time, s, up to a limit.
-_LINKS, _DIES, _MOST_LINKS = 4, 2.0, 40
+#: shorter in all than this time, s, and this number of lags, up to a limit.
+_LINKS, _DIES, _LAGS, _MOST_LINKS = 4, 1.0, 5.0, 40
 
 #: Outputs of the networks: the displacement; or, with a drive model, the twist by which the robot
 #: deviates from it, in the time of the longest command.
@@ -764,8 +764,10 @@ def chain(
     time = x[:, columns.duration] * longest
     speed = before
     # A remaining difference decays within a few commands, or seconds.
+    slowest = drive.lag * (drive.slowing * drive.braking.clamp(min=1.0)).clamp(min=1.0)
+    dies = _DIES + _LAGS * float(slowest.max())
     links = (
-        max(_LINKS, min(math.ceil(_DIES / max(float(time.median()), 1e-3)), _MOST_LINKS))
+        max(_LINKS, min(math.ceil(dies / max(float(time.median()), 1e-3)), _MOST_LINKS))
         if len(x)
         else 0
     )

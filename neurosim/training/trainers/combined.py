@@ -47,7 +47,9 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows
 
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
-MECHANISMS = ("laws", "dead_band", "swing", "process", "row_weights", "drive_members", "floor")
+MECHANISMS = (
+    *("laws", "modes", "dead_band", "swing", "process", "row_weights", "drive_members", "floor"),
+)
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
 #: Part of the Gaussian process' uncertainty that members have even where it does not count.
@@ -109,10 +111,11 @@ class CombinedSettings(Checked):
         noise_rows: Largest number of rows from which the noise is learned.
         whole_commands: Learn from whole commands alone, not from parts of them.
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
-            and other parameters of the actuators), ``dead_band``, ``swing`` (how a caster turns
-            when the direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows
-            with larger errors count less), ``drive_members`` (a drive model for each member),
-            ``floor`` (a map of the slip over the board).
+            and other parameters of the actuators), ``modes`` (these laws for a body that is slower
+            than its actuators), ``dead_band``, ``swing`` (how a caster turns when the direction
+            changes), ``process`` (the Gaussian process), ``row_weights`` (rows with larger errors
+            count less), ``drive_members`` (a drive model for each member), ``floor`` (a map of the
+            slip over the board).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -214,7 +217,7 @@ class CombinedTrainer:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
-        return self._leave(fit_drive(self._motion, laws, band))
+        return self._leave(fit_drive(self._motion, laws, band, "modes" not in settings.without))
 
     def _leave(self, fit: Fit) -> Tensor:
         """Store a drive model's residuals; return mean squared errors, [3]."""
@@ -430,7 +433,8 @@ class CombinedTrainer:
             fits = fit_again(self._fit, seen)
         else:
             each = map(self._motion.weighted, seen)
-            fits = [fit_drive(rows, self._fit.searched, self._band) for rows in each]
+            laws, body = self._fit.searched, self._fit.rows.modes is not None
+            fits = [fit_drive(rows, laws, self._band, body) for rows in each]
         for fit in fits:
             x, under = self._inputs(fit)
             changing, twist = self._phases(fit.drive, x, under)
@@ -625,15 +629,25 @@ class CombinedTrainer:
         commands = {"full_back": -1.0, "half_back": -0.5, "half": 0.5, "full": 1.0}
         every = torch.ones(len(driven), dtype=torch.float64)
         reached = {f"speed_at_{name}": drive.shaped(u * every) for name, u in commands.items()}
+        laws = [
+            {
+                **{law: float(getattr(drive, law)[c]) for law in drive.LAWS},
+                **{name: float(speeds[c]) for name, speeds in reached.items()},
+            }
+            for c in range(len(driven))
+        ]
+        bands = [{"dead_band": float(self._dead_band[place])} for place in self._columns.driven]
+        if self._fit.rows.modes is None:
+            laws = [own | band for own, band in zip(laws, bands, strict=True)]
+            actuators = dict(zip(driven, laws, strict=True))
+        else:
+            modes = [
+                " ".join(f"{part:+.2f} {name}" for part, name in zip(mode, driven, strict=True))
+                for mode in drive.modes.tolist()
+            ]
+            actuators = dict(zip([*modes, *driven], [*laws, *bands], strict=True))
         return {
-            "actuators": {
-                name: {
-                    **{law: float(getattr(drive, law)[c]) for law in drive.LAWS},
-                    **{name: float(speeds[c]) for name, speeds in reached.items()},
-                    "dead_band": float(self._dead_band[self._columns.driven[c]]),
-                }
-                for c, name in enumerate(driven)
-            },
+            "actuators": actuators,
             "delay": float(drive.delay),
             "swing": self._derived.swing,
             "floor": None if self._floor is None else self._floor.described(),

@@ -36,7 +36,7 @@ from neurosim.simulators.motion.drive import (
     features_of,
     terms_of,
 )
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
 from neurosim.simulators.motion.network import chain
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -44,7 +44,7 @@ from neurosim.training.base import Within
 #: Number of rows for the search of the laws.
 _ROWS = 600
 #: The coarse search: laws shared by all actuators.
-_LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4)
+_LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4, 0.8, 1.6)
 _RATES = (0.5, 1.0, 2.0, 4.0, 20.0)
 _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 #: Number of rates at which the fine search starts from the best of the coarse one.
@@ -61,6 +61,10 @@ _TOGETHER = 32
 _BELIEVED = 3.0
 #: Factor of the gain for accepting losses in curves over that for a delay.
 _LOST = 1.5
+#: Gain in log-likelihood for laws of the body's modes. Modes are not tried if each is one actuator,
+#: to this fraction, or if their condition number is larger; sideways motion is one if an actuator
+#: moves the robot so far aside, as a fraction of forward.
+_INERT, _ALIKE, _WORST, _ASIDE = 10.0, 0.9, 5.0, 0.2
 #: Derivatives are differences over this fraction of a prior's width; steps are at most this long.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: Damping of steps: first, smallest and largest value, and the factors of its change.
@@ -81,7 +85,7 @@ _LOWEST = (
     *[-5.0] * CURVES,
     0.0,
 )
-_HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
+_HIGHEST = (math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
 #: Prior part of products in the target, as a fraction.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and error from which Huber's loss is linear.
@@ -126,18 +130,23 @@ class Actuators(NamedTuple):
         """Return the actuators' combination for the rate of turn, [C]; zeros by default."""
         return np.zeros(len(self.driven)) if given is None else given.numpy()
 
+    def modes(self, given: Tensor | None) -> NDArray:
+        """Return the goals of laws by those of actuators, [C, C]; equal by default."""
+        return np.eye(len(self.driven)) if given is None else given.numpy()
+
     def one(self, number: int) -> Actuators:
         """Return the actuators of one of the models."""
         return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
 
 
 @njit(error_model="numpy", cache=True)
-def _distances(a, turning, before, commanded, time, follows, row, until, features, within):
+def _distances(a, turning, modes, before, commanded, time, follows, row, until, features, within):
     """Write the features of the twists of pieces of commands, see :meth:`DriveModel.pieces`.
 
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
+        modes: as in DriveModel, [C, C].
         before: the previous command of each, [N, C].
         commanded: the commands, [N, C].
         time: durations, [N] s.
@@ -153,7 +162,8 @@ def _distances(a, turning, before, commanded, time, follows, row, until, feature
     k = 0
     for i in range(len(commanded)):
         for c in range(count):
-            goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, commanded[i, c], c)
+            goals[0, c] = goal_of(a, modes, before[i], c)
+            goals[1, c] = goal_of(a, modes, commanded[i], c)
             begins[c] = reached[c] if follows[i] else goals[0, c]
         while k < len(row) and row[k] == i:
             _cut(a, turning, begins, goals, until[k], law, distance, reached, within[:, :, k])
@@ -239,6 +249,7 @@ class Motion:
         within: poses within the commands, if known, in the order of the rows.
         weight: weights of the rows, [N]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
+        modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
     """
 
     x: Tensor
@@ -249,6 +260,7 @@ class Motion:
     within: Within | None = None
     weight: Tensor | None = None
     turning: Tensor | None = None
+    modes: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -298,9 +310,9 @@ class Motion:
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
         times = x[:, columns.duration] * self.longest, self.follows
         parts = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
-        turning = actuators.turning(self.turning)
+        each = actuators.turning(self.turning), actuators.modes(self.modes)
         for p, own in enumerate(zip(*(part.numpy() for part in features), strict=True)):
-            _distances(actuators.one(p), turning, *parts, *own)
+            _distances(actuators.one(p), *each, *parts, *own)
         return features[0], features[1]
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
@@ -335,6 +347,7 @@ class Rows(Protocol):
     Attributes:
         columns: of the inputs.
         turning: of the drive models that are fitted, [C].
+        modes: of the drive models that are fitted, [C, C].
         belief: gain in log-likelihood for accepting a delay.
     """
 
@@ -345,6 +358,9 @@ class Rows(Protocol):
 
     @property
     def turning(self) -> Tensor | None: ...
+
+    @property
+    def modes(self) -> Tensor | None: ...
 
     def first(self, rows: int) -> Rows:
         """Return the first rows."""
@@ -390,7 +406,7 @@ class Fit(NamedTuple):
         parts = (torch.from_numpy(part) for part in actuators.one(0)[3:])
         kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
         losses = None if rows.turning is None else twists[kinematics:]
-        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses)
+        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses, rows.modes)
         return cls(drive, rows, band, laws, searched, actuators)
 
 
@@ -399,13 +415,14 @@ def searched_terms(rows: Rows) -> int:
     return (features_of if rows.turning is None else terms_of)(len(rows.columns.driven))
 
 
-def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
+def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None, body: bool = True) -> Fit:
     """Return the drive model of rows.
 
     Args:
         rows: the rows.
         laws: whether to search the actuators' laws; if not, speeds are reached at once.
         band: dead bands, scaled, [C]; found from the rows if not given.
+        body: whether the laws may be those of the body's modes, if these fit the rows better.
     """
     count = len(rows.columns.driven)
     searched = rows.first(_ROWS)
@@ -416,17 +433,34 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
         )
     limits = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
     roughly = _roughly(searched, *limits)
-    turning = _turning(searched, roughly, band)
+    fit, cost = _fully(rows, roughly, band, *limits)
+    none = torch.zeros(count, dtype=torch.float64)
+    twists, _ = searched.fitted(Actuators.of(roughly[None], none))
+    modes = body_modes(twists[0, :count].T) if body and count > 1 else None
+    if modes is None:
+        return fit
+    of_modes = replace(searched, modes=modes)
+    slow = _roughly(of_modes, *limits)
+    if _costs(searched, roughly[None], none) - _costs(of_modes, slow[None], none) < _INERT:
+        return fit
+    inert, less = _fully(replace(rows, modes=modes), slow, band, *limits)
+    return inert if cost - less > _INERT else fit
+
+
+def _fully(
+    rows: Rows, laws: Tensor, band: Tensor | None, lowest: Tensor, highest: Tensor
+) -> tuple[Fit, float]:
+    """Return the best drive model from approximate laws [L, C], and its cost."""
+    searched = rows.first(_ROWS)
+    turning = _turning(searched, laws, band)
     rows, searched = replace(rows, turning=turning), replace(searched, turning=turning)
-    if band is not None:
-        return Fit.of(rows, band, _searched(searched, band, *limits), True)
-    band = _dead_bands(searched, roughly)
-    best = _searched(searched, band, *limits)
+    given, band = band, _dead_bands(searched, laws) if band is None else band
+    best = _searched(searched, band, lowest, highest)
     # With better laws, slow commands tell more.
-    again = _dead_bands(searched, best)
+    again = band if given is not None else _dead_bands(searched, best)
     if not torch.equal(again, band):
-        band, best = again, _again(searched, again, best, *limits)
-    return Fit.of(rows, band, best, True)
+        band, best = again, _again(searched, again, best, lowest, highest)
+    return Fit.of(rows, band, best, True), float(_costs(searched, best[None], band))
 
 
 def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
@@ -439,6 +473,27 @@ def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
     starts = [_start(lag, _RATES[-1], delay, lowest) for lag, delay in product(_LAGS, _DELAYS)]
     best = int(_costs(rows, torch.stack(starts), none).argmin())
     return _again(rows, none, starts[best], lowest, highest)
+
+
+def body_modes(moves: Tensor) -> Tensor | None:
+    """Return modes of the body, [C, C] by actuators, if they are not nearly the actuators.
+
+    They are forward motion, the turn, and of more than two actuators sideways motion, as far as
+    these exist, and combinations at right angles to them.
+
+    Args:
+        moves: forward and sideways motion and turn by actuators, [3, C].
+    """
+    forward, aside, turn = moves
+    count, chosen = len(forward), [forward, turn]
+    if count > 2 and aside.norm() > _ASIDE * forward.norm():
+        chosen.append(aside)
+    modes = torch.stack(chosen)
+    if len(chosen) < count:
+        modes = torch.cat([modes, torch.linalg.svd(modes).Vh[len(chosen) :]])
+    modes = modes / modes.abs().sum(1, keepdim=True).clamp(min=1e-12)
+    alike = bool((modes.abs().amax(1) > _ALIKE).all())
+    return None if alike or torch.linalg.cond(modes) > _WORST else modes
 
 
 def _turning(rows: Rows, laws: Tensor, band: Tensor | None) -> Tensor | None:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import Underway
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.trainers.drive_fit import (
@@ -132,12 +132,13 @@ def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor
 
 
 @njit(error_model="numpy", cache=True)
-def _driven(a, turning, commanded, before, time, joined, features, lasts, row, states):
+def _driven(a, turning, modes, commanded, before, time, joined, features, lasts, row, states):
     """Drive rows one after the other.
 
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
+        modes: as in DriveModel, [C, C].
         commanded: commands of the rows, [N, C].
         before: previous commands of the rows, used if a row is not joined to the previous one, [N,
             C].
@@ -159,11 +160,11 @@ def _driven(a, turning, commanded, before, time, joined, features, lasts, row, s
         if not joined[i]:
             acting, start, acts = i - 1, 0.0, delay  # before[i] acts until then
             for c in range(count):
-                earlier[c] = _speed(a, before[i, c], c)
+                earlier[c] = goal_of(a, modes, before[i], c)
                 speed[c], push[c] = earlier[c], 0.0
             chain = i
         for c in range(count):
-            goals[i, c] = _speed(a, commanded[i, c], c)
+            goals[i, c] = goal_of(a, modes, commanded[i], c)
             states[i, c], states[i, count + c] = speed[c], push[c]
         now, end = start, start + time[i]
         while now < end - 1e-9:
@@ -203,6 +204,7 @@ class Chains:
         columns: of their inputs.
         weight: weights of the whole rows, [K]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
+        modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
     """
 
     commanded: Tensor
@@ -215,6 +217,7 @@ class Chains:
     columns: CommandFeatures
     weight: Tensor | None = None
     turning: Tensor | None = None
+    modes: Tensor | None = None
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -294,9 +297,8 @@ class Chains:
             np.zeros((len(time), 2 * count)),
         )
         given = (self.commanded.numpy(), self.before.numpy(), time, self.joined.numpy())
-        made = _driven(
-            actuators, actuators.turning(self.turning), *given, features, lasts, row, states
-        )
+        each = actuators.turning(self.turning), actuators.modes(self.modes)
+        made = _driven(actuators, *each, *given, features, lasts, row, states)
         parts = (features[:made], lasts[:made], row[:made], states)
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
@@ -308,7 +310,8 @@ class Chains:
             x: scaled inputs of the whole rows, as given.
         """
         drive = fit.drive
-        speed, push = self.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
+        own = replace(self, modes=fit.rows.modes)
+        speed, push = own.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
         goals, before = (
             drive.shaped(outside(part, fit.band)) for part in (self.commanded, self.before)
         )
