@@ -99,12 +99,19 @@ def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
 
 
 def _sensors_in_words(readings: dict[str, Any] | None) -> str:
-    return "".join(
-        f"{one['name']}, {100 * one['ahead']:.1f} cm ahead and {100 * one['aside']:.1f} cm to the "
-        f"left: root mean square error {one['rms_error']:.3f} of readings that differ by "
-        f"{one['rms']:.3f}.\n"
-        for one in (readings or {}).get("sensors", ())
-    )
+    from neurosim.training.sensors import NOTHING
+
+    words = ""
+    for one in (readings or {}).get("sensors", ()):
+        if one["noise"] < NOTHING and one["rms"] < NOTHING:
+            words += f"{one['name']} saw nothing on the board.\n"
+            continue
+        words += (
+            f"{one['name']}, {100 * one['ahead']:.1f} cm ahead and {100 * one['aside']:.1f} cm to "
+            f"the left: root mean square error {one['rms_error']:.3f} of readings that differ by "
+            f"{one['rms']:.3f}.\n"
+        )
+    return words
 
 
 @click.command()

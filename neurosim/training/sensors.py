@@ -46,6 +46,8 @@ LATEST = 0.25
 SPAN, PARTS = 8.0, 4
 #: Largest number of a map's points, and smallest number of readings for a sensor.
 MOST_POINTS, FEWEST = 4_000_000, 50
+#: Standard deviation of readings, which are from 0 to 1, below which a sensor saw nothing.
+NOTHING = 0.002
 #: Steps at which the search of the mounting ends: m, m, s.
 _FINEST = np.array([0.0005, 0.0005, 0.004])
 #: During the search of the mounting: smoothness, number of left-out parts, and accuracy.
@@ -209,16 +211,18 @@ def learn_sensors(
             f"over {PARTS * SPAN / (1 - held_out):.0f} s: record longer, or train with --no-sensors"
         )
     with Progress("sensors", 2 * len(names), "steps") if progress else _Quiet() as bar:
-        mounts = np.zeros((len(names), 3))
+        mounts, unaware = np.zeros((len(names), 3)), rows.values.std(0) < NOTHING
         for s in range(len(names)):
-            mounts[s] = _mounting(rows, s)
+            mounts[s] = 0.0 if unaware[s] else _mounting(rows, s)
             bar.advance()
-        groups = _grouped(_Maps(rows, COARSE, *_ROUGH), mounts)
+        groups = _grouped(_Maps(rows, COARSE, *_ROUGH), mounts, np.flatnonzero(~unaware))
+        groups += [[s] for s in np.flatnonzero(unaware)]
         rough, fitted, final = _Maps(rows, CELL, *_ROUGH), _Maps(rows, CELL), _Maps(every, CELL)
         noise, tried, maps = np.zeros((len(names), 2)), np.zeros(len(names)), []
         for group in groups:
-            mounts = _refine(rough, mounts, group)
-            tries = (*SMOOTHNESS, np.inf)
+            sees = not unaware[group].any()
+            mounts = _refine(rough, mounts, group) if sees else mounts
+            tries = (*SMOOTHNESS * sees, np.inf)
             smooth = min(tries, key=lambda each: fitted.error(mounts, each, group))
             noise[group] = _noise(fitted, mounts, smooth, group)
             tried[group] = _tried(fitted, mounts, smooth, group, later)
@@ -274,9 +278,6 @@ def _mounting(rows: _Rows, sensor: int) -> NDArray[np.float64]:
     tries = [
         (ahead, aside) for ahead in offsets for aside in offsets if np.hypot(ahead, aside) <= REACH
     ]
-    # Equal readings do not depend on the position.
-    if rows.values.std() < 1e-6:
-        return np.zeros(3)
     best = min(
         (np.array([ahead, aside, 0.04]) for ahead, aside in tries),
         key=lambda mount: coarse.error(mount[None], _SEARCHED, [0]),
@@ -314,11 +315,13 @@ def _refine(
     return best
 
 
-def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
+def _grouped(
+    maps: _Maps, mounts: NDArray[np.float64], sensors: NDArray[np.int64]
+) -> list[list[int]]:
     """Return the groups of sensors that share a map: each joins a group that predicts it better."""
     groups: list[list[int]] = []
     errors: list[float] = []
-    for s in range(len(mounts)):
+    for s in sensors.tolist():
         alone = maps.error(mounts, _SEARCHED, [s])
         joined = [maps.error(mounts, _SEARCHED, [*group, s]) for group in groups]
         gains = [before + alone - after for before, after in zip(errors, joined, strict=True)]

@@ -7,6 +7,7 @@ import torch
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from neurosim.cli.train import _sensors_in_words
 from neurosim.training.sensors import learn_sensors
 from tracking.datasets.readings import PLACE
 
@@ -72,12 +73,17 @@ def test_what_does_not_follow_from_the_place_is_noise():
     rng = np.random.default_rng(1)
     table["whim"] = rng.uniform(0.2, 0.8, len(table))
     table["still"] = 0.5
+    table["far"] = 0.001 * rng.uniform(size=len(table))  # a proximity sensor with nothing near
     sensors, about = learn_sensors(table, progress=False)
     whim, still = sensors.maps[sensors.place[1]], sensors.maps[sensors.place[2]]
     assert whim.std() < 0.02
     assert still.numpy() == pytest.approx(0.5)
     assert sensors.noise[1, 0] == pytest.approx(0.22, abs=0.05)
     assert sensors.noise[2].tolist() == [0.0, 0.0]
+    assert sensors.mount[3].tolist() == [0.0, 0.0]
+    assert sensors.maps[sensors.place[3]].numpy() == pytest.approx(0.0005, abs=1e-4)
+    assert "far saw nothing on the board.\n" in _sensors_in_words(about)
+    assert "eye_0, 5.9 cm ahead and 3.0 cm to the left" in _sensors_in_words(about)
     assert about["sensors"][1]["rms_error"] == pytest.approx(0.173, abs=0.02)
 
 

@@ -1,6 +1,7 @@
 """Light sensors from recording to drive: recorded, learned, used in evolution and in a drive."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 import neurosim as ns
 from neurosim.base.errors import FileError, UserError
 from neurosim.cli.main import cli
+from neurosim.controllers import read_controller
 from neurosim.lab import VirtualRig
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Rig, record
@@ -119,6 +121,26 @@ def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp
     genes = best.genes.reshape(2, 3)
     wanted = 40 * np.tanh(seen.readings[:15] @ genes[:, :2].T + genes[:, 2])
     np.testing.assert_allclose([command[:2] for command in report["commands"]], wanted, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_thymio_follows_a_line_with_its_ground_sensors(made, tmp_path):
+    task = ns.make_task("follow-line", seconds=30.0, laps=0.3)
+    simulator = ns.load(made / "simulator")
+    network = ns.make_controller("network", simulator, task, scale=80.0)
+    ns.evolve(simulator, task, network, generations=1, out=tmp_path / "any", progress=False)
+    # By hand: the wheel on the side that sees the bright board turns faster, towards the line.
+    by_hand = np.array([[2.0, 0.0, 0.0], [0.0, 2.0, 0.0]]).ravel()
+    replace(read_controller(tmp_path / "any"), genes=by_hand).write(tmp_path / "c")
+    words = f"run {tmp_path / 'c'} --robot virtual-thymio --guard-by position -o {tmp_path / 't'}"
+    words += f" --camera-size 320x240 --calibration {made / 'calibration.json'}"
+    result = CliRunner().invoke(cli, words.split(), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    report = json.loads((tmp_path / "t" / "trial.json").read_text())
+    assert report["actual"]["completes"] is True, report["actual"]["fitness"]
+    assert {"line_left", "line_right", "sensor_0"} <= set(
+        Recording(tmp_path / "t").observations().names
+    )
 
 
 @pytest.mark.slow
