@@ -8,6 +8,7 @@ from patience import PATIENCE, wait_until
 from serial_robots import EPuck2, Khepera4, on_a_line
 
 from neurosim.base.errors import RobotError
+from neurosim.lab.cable import address_of
 from neurosim.robots.base import Battery, Counters, Lamp, Proximity, SelfStopping
 from neurosim.robots.check import check
 from neurosim.robots.khepera.driver import Khepera
@@ -15,20 +16,23 @@ from neurosim.robots.khepera.driver import Khepera
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="this system has no pseudo-terminals")
 
 BOTH = pytest.mark.parametrize(("kind", "dialect"), [(EPuck2, "epuck2"), (Khepera4, "khepera4")])
+#: An e-puck2 is reached by Bluetooth or by TCP.
+ENDS = pytest.mark.parametrize("device", ["pty", "socket"])
 
 
 def driver(robot, cable, dialect, **options):
     options = {"timeout": PATIENCE, **options}
-    return Khepera(cable.path, dialect=dialect, clock=robot.clock, **options)
+    return Khepera(address_of(cable), dialect=dialect, clock=robot.clock, **options)
 
 
 def wait(robot, seconds):
     robot.clock.sleep_until(robot.clock.now() + seconds)
 
 
+@ENDS
 @BOTH
-def test_it_is_driven_and_read(kind, dialect):
-    with on_a_line(kind) as (fake, cable), driver(fake, cable, dialect) as robot:
+def test_it_is_driven_and_read(kind, dialect, device):
+    with on_a_line(kind, device) as (fake, cable), driver(fake, cable, dialect) as robot:
         can = [isinstance(robot, each) for each in (Proximity, Counters, Lamp, Battery)]
         assert can == [True] * 4
         # Nothing would stop it: its program keeps a speed until the next command.
@@ -51,8 +55,9 @@ def test_it_is_driven_and_read(kind, dialect):
     assert fake.speeds == (0, 0)
 
 
-def test_the_sensors_of_an_e_puck2():
-    with on_a_line(EPuck2) as (fake, cable), driver(fake, cable, "epuck2") as robot:
+@ENDS
+def test_the_sensors_of_an_e_puck2(device):
+    with on_a_line(EPuck2, device) as (fake, cable), driver(fake, cable, "epuck2") as robot:
         assert robot.describe()["version"] == "Version 2.0 January 2018 GCtronic"
         np.testing.assert_array_equal(robot.read_proximity(), fake.proximity)
         # The last one looks ahead, a little to the left.

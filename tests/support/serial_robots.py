@@ -11,7 +11,7 @@ import re
 import threading
 from contextlib import contextmanager
 
-from neurosim.lab.cable import PtyCable, SerialCable
+from neurosim.lab.cable import SerialCable, serve_cable
 
 
 class Quick:
@@ -128,8 +128,8 @@ class Khepera4(_Wheels):
 
 
 @contextmanager
-def on_a_line(kind):
-    """Serve such a robot on a pseudo-terminal; give the robot and its cable."""
+def on_a_line(kind, device="pty"):
+    """Serve such a robot on a pseudo-terminal or a socket; give the robot and its cable."""
     robot = kind(Quick())
-    with PtyCable(SerialCable(robot, robot.clock, 10 / 115_200)) as cable:
+    with serve_cable(SerialCable(robot, robot.clock, 10 / 115_200), device, 0) as cable:
         yield robot, cable
