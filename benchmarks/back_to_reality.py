@@ -39,7 +39,7 @@ from neurosim.evolution.bits import BitSettings
 from neurosim.evolution.cma import CMA
 from neurosim.evolution.policy_gradient import PolicyGradient, PolicySettings
 from neurosim.evolution.space import SearchSpace
-from neurosim.lab.walker import PLACES, VirtualWalker
+from neurosim.lab.walker import FLOORS, VirtualWalker
 from neurosim.simulators.legged.simulator import LeggedSimulator
 from neurosim.tasks.walking import Walking
 
@@ -233,7 +233,7 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the tables: how far each method gets, which one wins, and how much L3 improves."""
     text, counts = "", list(rows[0]["read"]) if rows else []
-    for place in PLACES:
+    for place in FLOORS:
         there = [row for row in rows if row["place"] == place]
         by = {m: {row["seed"]: row for row in there if row["method"] == m} for m in METHODS}
         by = {method: own for method, own in by.items() if own}
@@ -269,7 +269,7 @@ def medians(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     gait.
     """
     result: dict[str, dict[str, Any]] = {}
-    for place in PLACES:
+    for place in FLOORS:
         there = [row for row in rows if row["place"] == place]
         if not there:
             continue
@@ -349,7 +349,7 @@ def main() -> None:
     parser.add_argument("--speed", action="store_true", help="measure what a trial costs")
     parser.add_argument("--seeds", type=int, default=1, help="how many")
     parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
-    parser.add_argument("--places", nargs="+", choices=list(PLACES), default=list(PLACES))
+    parser.add_argument("--places", nargs="+", choices=list(FLOORS), default=list(FLOORS))
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument(
         "--change", nargs="+", default=[], metavar="SETTING=VALUE",

@@ -47,7 +47,7 @@ def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
     content = json.loads(out)
     assert content["trials"] == len((tmp_path / "found/trials.jsonl").read_text().splitlines()) - 1
     assert content["start"]["fitness"] > 0.08
-    assert content["reality"]["place"] == "main"
+    assert content["reality"]["floor"] == "main"
     code, out, message = neurosim(
         "report", "found", "found/controller", "found/simulator", "-o", "page.html"
     )
@@ -128,7 +128,7 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--place", "moon"], "there is no place 'moon' in the lab"),
+        (["--floor", "moon"], "there is no floor 'moon' in the lab"),
         (["--task", "go-to"], "does the task walking only, not go-to"),
         (["--budget", "5"], "a budget of 5 is too small"),
         (["--settings", "best"], "paper or better"),

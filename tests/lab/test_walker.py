@@ -10,7 +10,7 @@ from neurosim.robots.quadruped import standing
 
 pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
-from neurosim.lab.walker import PLACES, VirtualWalker
+from neurosim.lab.walker import FLOORS, VirtualWalker
 from neurosim.lab.walker.robot import RADIUS, servo
 
 HAND = genes_of(HAND_TUNED)
@@ -22,9 +22,9 @@ def walker():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", list(PLACES))
-def test_the_hand_tuned_gait_crosses_the_circle_in_every_place(place):
-    result = VirtualWalker(Gait(), place).trials(np.stack([HAND, HAND]), np.arange(2))
+@pytest.mark.parametrize("floor", list(FLOORS))
+def test_the_hand_tuned_gait_crosses_the_circle_on_every_floor(floor):
+    result = VirtualWalker(Gait(), floor).trials(np.stack([HAND, HAND]), np.arange(2))
     assert (result > 0.08).all()
     assert (result < 0.16).all()
     assert result[0] != result[1]
@@ -62,7 +62,7 @@ class Seen:
 
 def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     walker = VirtualWalker(Gait())
-    place, walker._physics = PLACES["main"], Seen()
+    place, walker._physics = FLOORS["main"], Seen()
     builds = []
     monkeypatch.setattr("neurosim.lab.walker.robot.compile_model", builds.append)
     numbers = np.array([0, place.charge - 1, place.charge])
@@ -84,8 +84,8 @@ def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     assert np.abs(late).max() < 5.0 * place.scatter[2]
 
 
-def test_no_place_is_like_the_simulator():
-    for place in PLACES.values():
+def test_no_floor_is_like_the_simulator():
+    for place in FLOORS.values():
         build = place.build
         assert build.timestep == 0.002
         assert build.cone == "pyramidal"
@@ -94,7 +94,7 @@ def test_no_place_is_like_the_simulator():
 
 
 def test_what_cannot_be_is_refused():
-    with pytest.raises(UserError, match="there is no place 'moon' in the lab; choose from main"):
+    with pytest.raises(UserError, match="there is no floor 'moon' in the lab; choose from main"):
         VirtualWalker(Gait(), "moon")
     with pytest.raises(UserError, match="the walking robot of the lab needs a gait"):
         VirtualWalker(Network(("time",)))

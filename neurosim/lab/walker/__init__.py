@@ -1,5 +1,5 @@
 """A walking robot of the lab, and its floors."""
 
-from neurosim.lab.walker.robot import PLACES, Ground, VirtualWalker
+from neurosim.lab.walker.robot import FLOORS, Ground, VirtualWalker
 
-__all__ = ["PLACES", "Ground", "VirtualWalker"]
+__all__ = ["FLOORS", "Ground", "VirtualWalker"]

@@ -64,7 +64,7 @@ class Ground:
 
 
 #: By name. The time step is half the simulator's, the cone a pyramid.
-PLACES = {
+FLOORS = {
     "main": Ground(
         Build(
             head=0.24,
@@ -171,16 +171,16 @@ class VirtualWalker:
 
     Attributes:
         controller: the family of its individuals; its commands are angles of the joints by time.
-        place: the name of robot and floor.
+        floor: the name of robot and floor.
     """
 
     @checks
-    def __init__(self, controller: Any, place: str = "main", seed: Seed = 0, task: Any = None):
+    def __init__(self, controller: Any, floor: str = "main", seed: Seed = 0, task: Any = None):
         """Make the robot of a floor.
 
         Args:
             controller: a controller whose commands depend on time alone, such as a gait.
-            place: The floor: main, carpet or parquet.
+            floor: The floor: main, carpet or parquet.
             seed: Random seed of the noise from trial to trial.
             task: the task walking, or None.
 
@@ -188,9 +188,9 @@ class VirtualWalker:
             UserError: if the floor is unknown, the controller or the task is of another kind, or
                 the seed is negative.
         """
-        if place not in PLACES:
+        if floor not in FLOORS:
             raise UserError(
-                f"there is no place {place!r} in the lab; choose from {', '.join(PLACES)}"
+                f"there is no floor {floor!r} in the lab; choose from {', '.join(FLOORS)}"
             )
         if not isinstance(controller, OfTime) or tuple(controller.outputs) != JOINTS:
             raise UserError(
@@ -201,14 +201,14 @@ class VirtualWalker:
             raise UserError(
                 f"the walking robot of the lab does the task walking only, not {task.name}"
             )
-        self.controller, self.place, self._seed = controller, place, seed
-        self._place = PLACES[place]
-        self._build = replace(self._place.build, bumps=_bumps(self._place))
+        self.controller, self.floor, self._seed = controller, floor, seed
+        self._ground = FLOORS[floor]
+        self._build = replace(self._ground.build, bumps=_bumps(self._ground))
         self._physics = Physics(compile_model(self._build))
 
     def describe(self) -> dict[str, Any]:
         """Return the robot's description."""
-        return {"kind": "virtual-walker", "virtual": True, "place": self.place, "seed": self._seed}
+        return {"kind": "virtual-walker", "virtual": True, "floor": self.floor, "seed": self._seed}
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
         """Return the fitness of an individual [G] in one trial, m/s.
@@ -221,14 +221,14 @@ class VirtualWalker:
 
     def trials(self, genes: NDArray[np.float64], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the fitness [N] of individuals [N, G] in one trial each, as :meth:`trial` does."""
-        place = self._place
+        ground = self._ground
         times = np.arange(round(LONGEST / FRAME)) * FRAME
         starts, models = np.zeros((len(genes), 3)), []
         commands, clocks = self.controller.over(genes, times), np.empty(len(genes))
         for row, number in enumerate(numbers):
             rng = np.random.default_rng([self._seed, int(number), 0x3A1C])
-            heading, slippery, late = np.array(place.scatter) * rng.standard_normal(3)
-            left = 1.0 - place.sag * (int(number) % place.charge) / place.charge
+            heading, slippery, late = np.array(ground.scatter) * rng.standard_normal(3)
+            left = 1.0 - ground.sag * (int(number) % ground.charge) / ground.charge
             starts[row, 2], clocks[row] = heading, late
             build = replace(
                 self._build,
@@ -236,7 +236,7 @@ class VirtualWalker:
                 torque=self._build.torque * left,
             )
             models.append(compile_model(build))
-            fraction, most = -np.expm1(-FRAME / place.lag), place.speed * left * FRAME
+            fraction, most = -np.expm1(-FRAME / ground.lag), ground.speed * left * FRAME
             commands[row] = servo(commands[row], standing(), fraction, most)
         poses = self._physics.walk(models, starts, commands, RADIUS)
         away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
@@ -267,13 +267,13 @@ def servo(
     return reached
 
 
-def _bumps(place: Ground) -> tuple[tuple[float, float, float, float], ...]:
+def _bumps(ground: Ground) -> tuple[tuple[float, float, float, float], ...]:
     """Return flat bumps (x, y, radius, height) around the circle's middle, m."""
-    rng = np.random.default_rng([place.seed, 0xB0B5])
+    rng = np.random.default_rng([ground.seed, 0xB0B5])
     side = 2.0 * (RADIUS + 0.3)
-    count = round(place.bumps * side * side)
+    count = round(ground.bumps * side * side)
     centres = rng.uniform(-0.5 * side, 0.5 * side, (count, 2))
-    radii, heights = rng.uniform(0.03, 0.08, count), place.height * rng.uniform(0.3, 1.0, count)
+    radii, heights = rng.uniform(0.03, 0.08, count), ground.height * rng.uniform(0.3, 1.0, count)
     # The floor is flat at the robot's start.
     kept: Sequence[bool] = (np.linalg.norm(centres, axis=1) > 0.3).tolist()
     rows = np.column_stack([centres, radii, heights]).tolist()
