@@ -139,12 +139,12 @@ def dataset_of(log):
 def test_a_robot_is_learned_from_commands_that_never_stay():
     rng = np.random.default_rng(2)
     model = drive_model(0.1, (0.15, 0.25))
-    data = dataset_of(joystick(rng, 120.0, model))
+    data = dataset_of(joystick(rng, 80.0, model))
     assert data.joined.mean() > 0.99
     simulator = learn(training_data(data), 0, members=1, noise=False)
     assert float(simulator.drive.delay) == pytest.approx(0.1, abs=0.03)
     assert simulator.drive.lag.tolist() == pytest.approx([0.15, 0.25], abs=0.05)
-    other = dataset_of(joystick(np.random.default_rng(3), 60.0, model))
+    other = dataset_of(joystick(np.random.default_rng(3), 40.0, model))
     errors = table_of_errors(simulator, other)
     # In windows of 1 s, with distances of 20 cm and turns of 60 degrees.
     assert errors["dx"]["mean_absolute_error"] < 1.0
