@@ -162,6 +162,23 @@ def test_clocks_that_differ(imported, late):
     )
 
 
+@pytest.mark.parametrize("held", [1.0, 0.5])
+def test_held_commands_that_are_half_of_a_log_are_not_all_that_is_learned_from(imported, held):
+    """Then the rest would be thrown away, even if there are many of them."""
+    rng = np.random.default_rng(1)
+    lengths = rng.integers(12, 40, 300)
+    commands = np.repeat(rng.uniform((-0.3, -1.5), (0.3, 1.5), (300, 2)).round(2), lengths, axis=0)
+    alone = np.arange(300) < 300 * held
+    quick = ~np.repeat(alone, lengths)
+    commands[quick] = rng.uniform((-0.3, -1.5), (0.3, 1.5), (quick.sum(), 2)).round(2)
+    time, poses, _ = drive(len(commands) * DT, commands=commands)
+    made, _ = imported(time, poses, commands)
+    assert made.meta["windows"] is (held < 1.0)
+    lasts = made.input_array()[:, -1].sum()
+    assert lasts == pytest.approx(time[-1], rel=0.03)
+    assert len(made) > (1000 if held < 1.0 else 290)
+
+
 def test_a_slow_body_is_no_other_clock(imported):
     time, poses, commands = drive(seconds=120.0, lag=1.5)
     log = logs.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))

@@ -33,9 +33,9 @@ REASONS = {
     "gap": "no sample or no pose for too long",
 }
 
-#: Number of held commands below which rows may follow one another, and smallest number of such
-#: rows.
-FEW, LEAST = 100, 20
+#: Number of held commands below which rows may follow one another, the fraction of the time that
+#: held commands take below which they may, and smallest number of such rows.
+FEW, MOST_OF_IT, LEAST = 100, 0.75, 20
 #: Time between poses within such rows, s.
 _WITHIN = 0.25
 #: Duration of the motion that determines the command before the first one, s.
@@ -225,7 +225,8 @@ def any_rows_of(
     """Turn logs into rows: of held commands, or rows that follow one another.
 
     By default, rows follow one another if fewer than :data:`FEW` commands were held for long
-    enough, and this gives at least twice as many rows, and :data:`LEAST`.
+    enough, or these took less than :data:`MOST_OF_IT` of the time, and if this gives at least twice
+    as many rows, and :data:`LEAST`.
 
     Returns:
         rows and left_out as in :func:`rows_of`, and whether rows follow one another.
@@ -233,7 +234,9 @@ def any_rows_of(
     if settings.windows:
         return (*_joined(chained_rows_of(log, names, settings) for log in logs), True)
     held, left_out = _joined(rows_of(log, names, settings) for log in logs)
-    if settings.windows is None and len(held) < FEW:
+    lasted = sum(row["duration"] for row in held)
+    all_of_it = sum(float(log.pose_time[-1] - log.pose_time[0]) for log in logs)
+    if settings.windows is None and (len(held) < FEW or lasted < MOST_OF_IT * all_of_it):
         rows, others = _joined(chained_rows_of(log, names, settings) for log in logs)
         if len(rows) >= max(2 * len(held), LEAST):
             return rows, others, True
