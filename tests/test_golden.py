@@ -24,15 +24,19 @@ RECORDED = Path(__file__).with_name("golden.json")
 GOALS = np.array([[0.4, 0.2, 0.5], [0.1, -0.3, 2.0]])
 #: A robot without delay and static friction, of one lag whether it speeds up or slows down.
 AT_ONCE = {"delay": torch.zeros(1), "slowing": torch.ones(2), "stick": torch.zeros(2)}
+#: The laws are those of the actuators.
+OF_ACTUATORS = {"modes": torch.eye(2)}
 SEEN = ("x", "sin_heading", "goal_x", "goal_y", "goal_bearing", "time")
 
 
 def simulators():
     """Return one of each make, by name."""
-    straight = drive_model(curved=False)
+    straight = drive_model(curved=False, **OF_ACTUATORS)
     return {
         "driven": random_motion_network(drives=straight),
-        "driven at once": random_motion_network(drives=drive_model(curved=False, **AT_ONCE)),
+        "driven at once": random_motion_network(
+            drives=drive_model(curved=False, **AT_ONCE, **OF_ACTUATORS)
+        ),
         "average of members": random_motion_network(
             central=False, units=0, swing=None, drives=straight
         ),
@@ -79,7 +83,7 @@ def fitness(name):
     """Return a task's fitness of random drives."""
     task, rng = make_task(name), np.random.default_rng(9)
     plan = Plan(slots=8)
-    straight = drive_model(curved=False)
+    straight = drive_model(curved=False, **OF_ACTUATORS)
     rollouts = random_motion_network(size=0.1, drives=straight).rollouts(plan, task.episode)
     start = np.array([task.start])
     judged = task.judge(rollouts.run(rng.random((40, plan.genes)), Draws(start)))

@@ -126,7 +126,10 @@ def steady_twist(times: NDArray[np.float64], poses: NDArray[np.float64]) -> NDAr
         poses: (N, 3) m, m, rad.
     """
     since = times - times.mean()
-    turn, middle = np.polyfit(since, unwrap(poses[:, 2]), 1)
+    # Where many frames in a row are missing, it may have turned further than half a turn.
+    rates = se2.wrapped(np.diff(poses[:, 2])) / np.diff(times)
+    turned = since * (np.median(rates) if len(rates) else 0.0)
+    turn, middle = np.polyfit(since, unwrap(poses[:, 2] - turned) + turned, 1)
     # The path so far of a robot that drives straight ahead, and of one that drives to its left.
     chord = since * np.sinc(turn * since / (2.0 * np.pi))
     heading = middle + turn * since / 2.0

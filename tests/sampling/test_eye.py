@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from neurosim.base import se2
@@ -40,6 +40,7 @@ def calibration(**changes):
     return CameraModel(**{**parts, **changes})
 
 
+@example((0.0, 0.0, 6.0), (0.0, 0.0, 0.0), 2**15 - 1)  # a gap of 0.53 s
 @settings(deadline=None, max_examples=60)
 @given(
     twist=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.02, 0.02), st.floats(-6, 6)),
