@@ -127,7 +127,8 @@ def test_delimiters_remarks_and_byte_order_marks(tmp_path, delimiter):
 
 def test_a_log_gives_the_rows_that_the_same_robots_utias_files_give(shared_data, tmp_path):
     folder = shared_data / "utias"
-    expected = import_mrclam(folder, tmp_path / "mrclam")
+    # Its held commands are half of the log, so a log is taken whole.
+    expected = import_mrclam(folder, tmp_path / "mrclam", settings=Settings(windows=True))
     odometry = np.loadtxt(next(folder.glob("*Odometry*")))
     truth = np.loadtxt(next(folder.glob("*Groundtruth*")))
     assert (odometry[:, 0] == truth[:, 0]).all()

@@ -11,7 +11,7 @@ of such a log; poses within commands are taken at samples of the odometry.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -43,7 +43,7 @@ def import_mrclam(
             both. They are distinguished by name (``...Odometry...``, ``...Groundtruth...``) or
             by their number of columns.
         out: the folder to write; inputs prev_v, prev_w, v, w, duration.
-        settings: how runs become rows.
+        settings: how runs become rows; by default those of held commands alone.
 
     Raises:
         FileError: if a file is missing, or wrong in some line.
@@ -66,7 +66,8 @@ def import_mrclam(
     stem = by_role["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
     (log,), warnings = in_step([log], settings.delay)
-    rows, left_out, windows = any_rows_of([log], ("v", "w"), settings)
+    pieces = replace(settings, windows=bool(settings.windows))
+    rows, left_out, windows = any_rows_of([log], ("v", "w"), pieces)
     dataset = make(
         rows,
         VELOCITY_INPUTS,
