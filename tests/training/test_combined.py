@@ -246,8 +246,7 @@ def test_members_span_what_another_recording_of_the_same_robot_would_say():
         [torch.stack([output(one, m) for m in range(8)]).var(0) for one in simulators]
     )
     ratio = (of_members.mean((0, 1)) / means.var(0).mean(0)).sqrt()
-    # Six recordings give this to a third or so.
-    assert ((ratio > 0.5) & (ratio < 2.0))[[0, 2]].all()
+    assert ((ratio > 0.6) & (ratio < 2.0))[[0, 2]].all()
 
 
 @pytest.mark.slow

@@ -90,9 +90,8 @@ _HIGHEST = (math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and error from which Huber's loss is linear.
 FREEDOM, _HUBER = 2.0, 1.345
-#: Number of steps of iteratively reweighted least squares, and from the weights of nearly the same
-#: regression.
-REGRESSIONS, _NEAR = 8, 2
+#: Number of steps of iteratively reweighted least squares.
+REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
 _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
 _AT_ONCE[_TOTAL], _AT_ONCE[_RATE] = _LOWEST[_TOTAL], _HIGHEST[_RATE]
@@ -316,11 +315,9 @@ class Motion:
             _distances(actuators.one(p), *each, *parts, *own)
         return features[0], features[1]
 
-    def fitted(
-        self, actuators: Actuators, near: list[Errors] | None = None
-    ) -> tuple[Tensor, list[Errors]]:
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and their errors."""
-        return _fitted(actuators, self, near)
+        return _fitted(actuators, self)
 
 
 class Errors(NamedTuple):
@@ -330,13 +327,11 @@ class Errors(NamedTuple):
         error: [P, N].
         size: robust size of the errors, [P, 1].
         weight: weights of the errors, [N] or [].
-        robust: weights by their sizes in the last step of a regression, [P, N], if it knows them.
     """
 
     error: Tensor
     size: Tensor
     weight: Tensor
-    robust: Tensor | None = None
 
     @property
     def cost(self) -> Tensor:
@@ -380,15 +375,8 @@ class Rows(Protocol):
         """The goals of commands, scaled, [N, C]."""
         ...
 
-    def fitted(
-        self, actuators: Actuators, near: list[Errors] | None = None
-    ) -> tuple[Tensor, list[Errors]]:
-        """Return the best twists [P, K, 3] of each model, and their errors.
-
-        Args:
-            actuators: of the models.
-            near: errors of nearly the same model, from which a regression may begin.
-        """
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
+        """Return the best twists [P, K, 3] of each model, and their errors."""
         ...
 
 
@@ -647,8 +635,8 @@ def _refined(
         steps: largest number of steps.
     """
 
-    def errors(laws: Tensor, near: list[Errors] | None = None) -> list[Errors]:
-        return rows.fitted(Actuators.of(laws, band), near)[1]
+    def errors(laws: Tensor) -> list[Errors]:
+        return rows.fitted(Actuators.of(laws, band))[1]
 
     laws = torch.minimum(laws, highest)
     width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
@@ -665,10 +653,9 @@ def _refined(
         weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         here, low, high = laws[varied], lowest[varied], highest[varied]
         signed_step = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
-        moved = laws.repeat(1 + len(signed_step), 1, 1)
-        moved[1:, varied] += torch.diag(signed_step * unit)
-        around = torch.cat([one.error for one in errors(moved, now)], 1)
-        changes = around[1:] - around[:1]
+        moved = laws.repeat(len(signed_step), 1, 1)
+        moved[:, varied] += torch.diag(signed_step * unit)
+        changes = torch.cat([one.error for one in errors(moved)], 1) - error
         slope = (changes / size / signed_step.unsqueeze(1)).T  # by each law in units of its prior
         off, counts = _off(laws)
         gradient = slope.T @ (weight * error / size) + off[varied]
@@ -716,17 +703,14 @@ def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
     return (laws - usual) / width * counts, counts
 
 
-def _fitted(
-    actuators: Actuators, motion: Motion, near: list[Errors] | None
-) -> tuple[Tensor, list[Errors]]:
+def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]:
     """Return the best kinematics [P, F, 3], and their errors."""
-    before = [None, None] if near is None else [one.robust for one in near[:2]]
     x, y, within = motion.x, motion.y, motion.within
     pieces, parts = motion.distances(actuators)
     product = torch.arange(pieces.shape[2]) >= len(motion.columns.driven)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _huber_regressions(pieces.sum(1), turn, product, weight, before[0])
+    rate, turns_left = _huber_regressions(pieces.sum(1), turn, product, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -737,7 +721,7 @@ def _fitted(
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     twice = torch.cat([weight, weight])
     speeds, shifts_left = _huber_regressions(
-        both, moved[:, :2].T.flatten(), product.repeat(2), twice, before[1]
+        both, moved[:, :2].T.flatten(), product.repeat(2), twice
     )
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
@@ -758,11 +742,7 @@ def _fitted(
 
 
 def _huber_regressions(
-    features: Tensor,
-    target: Tensor,
-    product: Tensor,
-    weight: Tensor,
-    robust: Tensor | None = None,
+    features: Tensor, target: Tensor, product: Tensor, weight: Tensor
 ) -> tuple[Tensor, Errors]:
     """Return the weights [P, F] of regressions with Huber's loss, and their errors.
 
@@ -771,15 +751,12 @@ def _huber_regressions(
         target: [N].
         product: whether each feature is a product, [F].
         weight: what each row counts, [N].
-        robust: factors of these by errors of nearly the same regression, [1, N].
     """
-    steps = REGRESSIONS if robust is None else _NEAR
-    robust = torch.ones_like(target)[None] if robust is None else robust
-    row_weights, pull = weight * robust, torch.zeros_like(features[..., 0])
+    row_weights, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
     # By a product alone, the target would have its size or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
-    for _ in range(steps):
+    for step in range(REGRESSIONS):
         weighed = features * row_weights.unsqueeze(1)
         square = weighed @ features.mT
         diagonal = square.diagonal(dim1=1, dim2=2)
@@ -788,6 +765,8 @@ def _huber_regressions(
         error = (weights.unsqueeze(1) @ features).squeeze(1) - target
         # The median of the magnitude is 0.67 standard deviations of a normal distribution.
         size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-9)
-        robust = (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
-        row_weights, pull = weight * robust, product * (size / usual).square()
-    return weights, Errors(error, size, weight, robust)
+        if step == REGRESSIONS - 1:
+            break
+        row_weights = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
+        pull = product * (size / usual).square()
+    return weights, Errors(error, size, weight)

@@ -329,15 +329,13 @@ class Chains:
         x[:, list(self.columns.before)] = speed
         return torch.cat([x, before[self.whole]], 1), under
 
-    def fitted(
-        self, actuators: Actuators, near: list[Errors] | None = None
-    ) -> tuple[Tensor, list[Errors]]:
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and their errors."""
         each = [self._fitted(actuators.one(p)) for p in range(len(actuators.lag))]
         kinematics, errors = zip(*each, strict=True)
         together = [
             Errors(torch.stack(error), torch.stack(size), weight[0])
-            for error, size, weight, _ in (
+            for error, size, weight in (
                 zip(*kind, strict=True) for kind in zip(*errors, strict=True)
             )
         ]
