@@ -211,18 +211,18 @@ def learn_sensors(
             f"over {PARTS * SPAN / (1 - held_out):.0f} s: record longer, or train with --no-sensors"
         )
     with Progress("sensors", 2 * len(names), "steps") if progress else _Quiet() as bar:
-        mounts, unaware = np.zeros((len(names), 3)), rows.values.std(0) < NOTHING
+        mounts, flat = np.zeros((len(names), 3)), rows.values.std(0) < NOTHING
         for s in range(len(names)):
-            mounts[s] = 0.0 if unaware[s] else _mounting(rows, s)
+            mounts[s] = 0.0 if flat[s] else _mounting(rows, s)
             bar.advance()
-        groups = _grouped(_Maps(rows, COARSE, *_ROUGH), mounts, np.flatnonzero(~unaware))
-        groups += [[s] for s in np.flatnonzero(unaware)]
+        groups = _grouped(_Maps(rows, COARSE, *_ROUGH), mounts, np.flatnonzero(~flat))
+        groups += [[s] for s in np.flatnonzero(flat)]
         rough, fitted, final = _Maps(rows, CELL, *_ROUGH), _Maps(rows, CELL), _Maps(every, CELL)
         noise, tried, maps = np.zeros((len(names), 2)), np.zeros(len(names)), []
         for group in groups:
-            sees = not unaware[group].any()
+            sees = not flat[group].any()
             mounts = _refine(rough, mounts, group) if sees else mounts
-            tries = (*SMOOTHNESS * sees, np.inf)
+            tries = (*SMOOTHNESS, np.inf) if sees else (np.inf,)
             smooth = min(tries, key=lambda each: fitted.error(mounts, each, group))
             noise[group] = _noise(fitted, mounts, smooth, group)
             tried[group] = _tried(fitted, mounts, smooth, group, later)

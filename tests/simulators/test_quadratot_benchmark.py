@@ -79,6 +79,8 @@ def test_l3_brings_the_simulator_closer_to_the_trials_that_it_compares(few):
     pytest.importorskip("cma", reason="pip install 'neurosim[cma]'")
     simulated = few.simulated
     result = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
+    again = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
+    np.testing.assert_array_equal(result, again)
     assert ((result >= 0) & (result <= 1)).all()
     apart = [
         np.linalg.norm(benchmark.predicted(simulated, few.trials, one) - few.trials.roots)

@@ -82,7 +82,9 @@ def lateness(log: Log) -> Lateness | None:
         for place_, shift in enumerate(shifts.tolist()):
             lefts[number, place_] = _unexplained(features, given, twist, known, shift)
     # A heavy body, as that of a boat, follows more slowly forward than in a turn, or less.
-    left = np.nan_to_num(np.nanmean(lefts.min(0), 1), nan=np.inf)
+    least = lefts.min(0)
+    moves = (~np.isnan(least)).sum(1)
+    left = np.where(moves > 0, np.nansum(least, axis=1) / np.maximum(moves, 1), np.inf)
     if not np.isfinite(left).any():
         return None
     best = int(left.argmin())

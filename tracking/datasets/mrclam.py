@@ -51,6 +51,7 @@ def import_mrclam(
             ``out`` is taken.
     """
     settings = settings or Settings()
+    settings = replace(settings, windows=bool(settings.windows))
     files.check_new_folder(out)
     by_role = _find([paths] if isinstance(paths, str | Path) else paths)
     odometry = read_numbers(by_role["odometry"], _COLUMNS["odometry"])
@@ -66,8 +67,7 @@ def import_mrclam(
     stem = by_role["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
     (log,), warnings = in_step([log], settings.delay)
-    pieces = replace(settings, windows=bool(settings.windows))
-    rows, left_out, windows = any_rows_of([log], ("v", "w"), pieces)
+    rows, left_out, windows = any_rows_of([log], ("v", "w"), settings)
     dataset = make(
         rows,
         VELOCITY_INPUTS,

@@ -135,8 +135,9 @@ class DriveModel:
 
     #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
-    TWISTS: ClassVar[tuple[str, ...]] = ("kinematics", "turning", "losses")
-    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", *TWISTS, "modes")
+    NAMES: ClassVar[tuple[str, ...]] = (
+        *(*LAWS, "curve", "delay", "kinematics", "turning", "losses", "modes"),
+    )
 
     def __post_init__(self) -> None:
         count = len(self.lag)
