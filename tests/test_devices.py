@@ -3,15 +3,18 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from khepera_data import made_up, made_up_lights
 from motion_networks import random_motion_network
 
 import neurosim as ns
+from neurosim.base import se2
 from neurosim.envs import TaskVectorEnv
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.registry import read_simulator, write_simulator
+from tracking.datasets.csv_files import import_csv
 from tracking.datasets.dataset import Dataset
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "reference"
@@ -113,10 +116,33 @@ def test_simulators_are_trained(device, trainer, settings, tmp_path):
         progress=False,
         **settings,
     )
+    same_when_read(simulator, tmp_path / "simulator", [30.0, 20.0, 1.0])
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_slow_robot_is_learned_from_a_log(device, tmp_path):
+    rng, pose, speed = np.random.default_rng(0), np.zeros(3), np.zeros(3)
+    commands, log = rng.uniform([0.0, -1.0], [0.3, 1.0], (400, 2)).repeat(4, 0), []
+    for n, (forward, turn) in enumerate(commands):
+        log.append([0.05 * n, *pose, forward, turn])
+        speed += (np.array([forward, 0.0, turn]) - speed) * 0.05 / 0.5
+        pose = se2.compose(pose, se2.exp(speed * 0.05))
+    columns = ["time", "x", "y", "heading", "v", "w"]
+    pd.DataFrame(log, columns=columns).to_csv(tmp_path / "log.csv", index=False)
+    assert import_csv(tmp_path / "log.csv", tmp_path / "data").joined.mean() > 0.9
+    simulator = ns.train(
+        tmp_path / "data", tmp_path / "simulator", members=2, device=device, progress=False
+    )
+    assert float(simulator.drive.lag.cpu().mean()) == pytest.approx(0.5, abs=0.1)
+    same_when_read(simulator, tmp_path / "simulator", [0.2, 0.5, 1.0])
+
+
+def same_when_read(simulator, folder, command):
+    """Check that a simulator predicts the same as it does on the CPU when it is read."""
     pose = torch.zeros(1, 3, dtype=torch.float64, device=simulator.device)
-    command = torch.tensor([[30.0, 20.0, 1.0]], dtype=torch.float64, device=simulator.device)
+    command = torch.tensor([command], dtype=torch.float64, device=simulator.device)
     there = simulator.step(simulator.start(pose), command)
-    again = read_simulator(tmp_path / "simulator")
+    again = read_simulator(folder)
     here = again.step(again.start(pose.cpu()), command.cpu())
     torch.testing.assert_close(there.cpu(), here, atol=1e-6, rtol=1e-6)
 

@@ -152,6 +152,34 @@ def test_wheels_with_lags_of_their_own_have_no_modes():
     assert drive.lag.tolist() == pytest.approx([0.3, 0.15], rel=0.15)
 
 
+@pytest.mark.parametrize("car", [True, False])
+def test_a_car_of_few_rows_turns_less_when_it_is_slower(car):
+    rng = np.random.default_rng(4)
+    speed, steering = rng.uniform(0.8, 1.0, 12), rng.uniform(-1.0, 1.0, 12)
+    commanded = torch.tensor(np.stack([speed, steering], 1))
+    time = torch.tensor(rng.uniform(0.5, 2.0, 12))
+    x = torch.cat([torch.zeros(12, 2), commanded, time[:, None] / 2.0], 1)
+    kinematics = torch.zeros(features_of(2), 3, dtype=torch.float64)
+    kinematics[0, 0] = 0.4
+    kinematics[3 if car else 1, 2] = 1.2
+    laws = [torch.full((2,), value, dtype=torch.float64) for value in (0.1, 1.0, 1.0, 20.0, 0.0)]
+    true = DriveModel(*laws, torch.zeros(2, 6).double(), torch.zeros(1).double(), kinematics)
+    columns = CommandFeatures.of(NAMES)
+    changing, twist = true.phases(rows_underway(true, columns, x), commanded, time)
+    y = se2.compose(changing, se2.exp(twist)) + torch.tensor(rng.normal(0.0, 0.005, (12, 3)))
+    rows = Motion(x, y, torch.zeros(12, dtype=torch.bool), columns, 2.0)
+    fit = fit_drive(rows)
+    assert fit.rows.steered == car
+    # At half the speed a car turns half as fast.
+    slow = torch.tensor([0.5, 1.0, 0.25, 0.5, 1.0], dtype=torch.float64)
+    expected = float((slow @ kinematics)[2])
+    assert float((slow @ fit.drive.kinematics)[2]) == pytest.approx(expected, rel=0.15)
+    usual = fit_drive(rows, car=False)
+    assert not usual.rows.steered
+    if car:
+        assert float((slow @ usual.drive.kinematics)[2]) > 1.5 * expected
+
+
 def test_forward_motion_and_turn_are_modes_of_four_wheels_too():
     wheels = torch.tensor([[0.25] * 4, [-0.25, -0.25, 0.25, 0.25]], dtype=torch.float64)
     modes = body_modes(torch.stack([wheels[0], 0.01 * wheels[1], 4.0 * wheels[1]]))

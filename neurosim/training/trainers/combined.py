@@ -48,7 +48,8 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
-    *("laws", "modes", "dead_band", "swing", "process", "row_weights", "drive_members", "floor"),
+    *("laws", "modes", "car", "dead_band", "swing", "process", "row_weights", "drive_members"),
+    "floor",
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
@@ -112,10 +113,10 @@ class CombinedSettings(Checked):
         whole_commands: Learn from whole commands alone, not from parts of them.
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``modes`` (these laws for a body that is slower
-            than its actuators), ``dead_band``, ``swing`` (how a caster turns when the direction
-            changes), ``process`` (the Gaussian process), ``row_weights`` (rows with larger errors
-            count less), ``drive_members`` (a drive model for each member), ``floor`` (a map of the
-            slip over the board).
+            than its actuators), ``car`` (a robot that turns only while it drives), ``dead_band``,
+            ``swing`` (how a caster turns when the direction changes), ``process`` (the Gaussian
+            process), ``row_weights`` (rows with larger errors count less), ``drive_members`` (a
+            drive model for each member), ``floor`` (a map of the slip over the board).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -217,7 +218,8 @@ class CombinedTrainer:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
-        return self._leave(fit_drive(self._motion, laws, band, "modes" not in settings.without))
+        may_be = ("modes" not in settings.without, "car" not in settings.without)
+        return self._leave(fit_drive(self._motion, laws, band, *may_be))
 
     def _leave(self, fit: Fit) -> Tensor:
         """Store a drive model's residuals; return mean squared errors, [3]."""
@@ -433,8 +435,9 @@ class CombinedTrainer:
             fits = fit_again(self._fit, seen)
         else:
             each = map(self._motion.weighted, seen)
-            laws, body = self._fit.searched, self._fit.rows.modes is not None
-            fits = [fit_drive(rows, laws, self._band, body) for rows in each]
+            laws, own = self._fit.searched, self._fit.rows
+            chosen = own.modes is not None, own.steered
+            fits = [fit_drive(rows, laws, self._band, *chosen) for rows in each]
         for fit in fits:
             x, under = self._inputs(fit)
             changing, twist = self._phases(fit.drive, x, under)

@@ -5,7 +5,8 @@ the translation with the measured turn. The laws are a few numbers for each actu
 Levenberg (1944) and Marquardt (1963) searches them, and the kinematics are fitted again at each
 step (Golub and Pereyra 1973). Errors are assumed to have Student's t distribution (Lange, Little
 and Taylor 1989), because a drive model has large ones. Parameters that rows hardly determine stay
-near usual values: a weak prior on every law, and on the products in the kinematics.
+near usual values: a weak prior on every law, and on the products in the kinematics or, of a car, on
+all terms of the turn but these.
 
 Many laws are compared at a time: P of them are a tensor [P, L, C], with errors [P, N]. Distances
 are computed by the compiled functions of simulators.
@@ -65,6 +66,8 @@ _LOST = 1.5
 #: to this fraction, or if their condition number is larger; sideways motion is one if an actuator
 #: moves the robot so far aside, as a fraction of forward.
 _INERT, _ALIKE, _WORST, _ASIDE = 10.0, 0.9, 5.0, 0.2
+#: Gain in log-likelihood for the prior of a car.
+_STEERED = 1.0
 #: Derivatives are differences over this fraction of a prior's width; steps are at most this long.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: Damping of steps: first, smallest and largest value, and the factors of its change.
@@ -250,6 +253,7 @@ class Motion:
         weight: weights of the rows, [N]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
+        steered: whether the prior is that of a car, see :func:`near_zero`.
     """
 
     x: Tensor
@@ -261,6 +265,7 @@ class Motion:
     weight: Tensor | None = None
     turning: Tensor | None = None
     modes: Tensor | None = None
+    steered: bool = False
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -348,6 +353,7 @@ class Rows(Protocol):
         columns: of the inputs.
         turning: of the drive models that are fitted, [C].
         modes: of the drive models that are fitted, [C, C].
+        steered: whether the prior is that of a car.
         belief: gain in log-likelihood for accepting a delay.
     """
 
@@ -361,6 +367,9 @@ class Rows(Protocol):
 
     @property
     def modes(self) -> Tensor | None: ...
+
+    @property
+    def steered(self) -> bool: ...
 
     def first(self, rows: int) -> Rows:
         """Return the first rows."""
@@ -415,7 +424,13 @@ def searched_terms(rows: Rows) -> int:
     return (features_of if rows.turning is None else terms_of)(len(rows.columns.driven))
 
 
-def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None, body: bool = True) -> Fit:
+def fit_drive(
+    rows: Rows,
+    laws: bool = True,
+    band: Tensor | None = None,
+    body: bool = True,
+    car: bool = True,
+) -> Fit:
     """Return the drive model of rows.
 
     Args:
@@ -423,6 +438,7 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None, body: b
         laws: whether to search the actuators' laws; if not, speeds are reached at once.
         band: dead bands, scaled, [C]; found from the rows if not given.
         body: whether the laws may be those of the body's modes, if these fit the rows better.
+        car: whether the prior may be that of a car, if it fits the rows better.
     """
     count = len(rows.columns.driven)
     searched = rows.first(_ROWS)
@@ -432,9 +448,14 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None, body: b
             rows, _dead_bands(searched, at_once) if band is None else band, at_once, False
         )
     limits = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
-    roughly = _roughly(searched, *limits)
-    fit, cost = _fully(rows, roughly, band, *limits)
     none = torch.zeros(count, dtype=torch.float64)
+    roughly = _roughly(searched, *limits)
+    if car and count > 1:
+        cars = replace(searched, steered=True)
+        costs = [_costs(each, roughly[None], none) for each in (searched, cars)]
+        if costs[0] - costs[1] > _STEERED:
+            rows, searched = replace(rows, steered=True), cars
+    fit, cost = _fully(rows, roughly, band, *limits)
     twists, _ = searched.fitted(Actuators.of(roughly[None], none))
     modes = body_modes(twists[0, :count].T) if body and count > 1 else None
     if modes is None:
@@ -707,10 +728,10 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     """Return the best kinematics [P, F, 3], and their errors."""
     x, y, within = motion.x, motion.y, motion.within
     pieces, parts = motion.distances(actuators)
-    product = torch.arange(pieces.shape[2]) >= len(motion.columns.driven)
+    of_turn, of_shift = near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _huber_regressions(pieces.sum(1), turn, product, weight)
+    rate, turns_left = _huber_regressions(pieces.sum(1), turn, of_turn, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -721,7 +742,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     twice = torch.cat([weight, weight])
     speeds, shifts_left = _huber_regressions(
-        both, moved[:, :2].T.flatten(), product.repeat(2), twice
+        both, moved[:, :2].T.flatten(), of_shift.repeat(2), twice
     )
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
@@ -741,19 +762,40 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     return kinematics, errors
 
 
+def near_zero(count: int, width: int, steered: bool) -> tuple[Tensor, Tensor]:
+    """Return which terms the prior holds near zero: of the turn, and of the translation, [width].
+
+    They are products and losses. Where rows do not tell the terms of the turn from each other, say
+    because a car always drove at one speed, this prior decides. That of a car turns only while it
+    moves: all terms of its turn are near zero but the products of two actuators.
+
+    Args:
+        count: C, number of actuators.
+        width: number of terms.
+        steered: whether the robot is a car.
+    """
+    products = torch.arange(width) >= count
+    if not steered:
+        return products, products
+    pairs = [i != j for i in range(count) for j in range(i, count)]
+    of_two = torch.zeros(width, dtype=torch.bool)
+    of_two[count : count + len(pairs)] = torch.tensor(pairs)
+    return ~of_two, products
+
+
 def _huber_regressions(
-    features: Tensor, target: Tensor, product: Tensor, weight: Tensor
+    features: Tensor, target: Tensor, near_zero: Tensor, weight: Tensor
 ) -> tuple[Tensor, Errors]:
     """Return the weights [P, F] of regressions with Huber's loss, and their errors.
 
     Args:
         features: [P, F, N]: of speeds, products and losses.
         target: [N].
-        product: whether each feature is a product, [F].
+        near_zero: whether the prior holds a weight near zero, [F].
         weight: what each row counts, [N].
     """
     row_weights, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
-    # By a product alone, the target would have its size or less.
+    # By such a term alone, the target would have its size or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
     for step in range(REGRESSIONS):
@@ -768,5 +810,5 @@ def _huber_regressions(
         if step == REGRESSIONS - 1:
             break
         row_weights = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
-        pull = product * (size / usual).square()
+        pull = near_zero * (size / usual).square()
     return weights, Errors(error, size, weight)

@@ -27,6 +27,7 @@ from neurosim.training.trainers.drive_fit import (
     Actuators,
     Errors,
     Fit,
+    near_zero,
     outside,
     products_and_losses,
     searched_terms,
@@ -205,6 +206,7 @@ class Chains:
         weight: weights of the whole rows, [K]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
+        steered: whether the prior is that of a car, see :func:`near_zero`.
     """
 
     commanded: Tensor
@@ -218,6 +220,7 @@ class Chains:
     weight: Tensor | None = None
     turning: Tensor | None = None
     modes: Tensor | None = None
+    steered: bool = False
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -359,9 +362,9 @@ class Chains:
 
         distance, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
-        product = torch.arange(width) >= self.commanded.shape[1]
+        of_turn, of_shift = near_zero(self.commanded.shape[1], width, self.steered)
         rate, turns_left = _student_regression(
-            distance[end] - distance[first], turn, windows, product
+            distance[end] - distance[first], turn, windows, of_turn
         )
         # The turn of a row by the model, plus the model's error.
         turns = features @ rate
@@ -384,7 +387,9 @@ class Chains:
         both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
-        speeds, shifts_left = _student_regression(both, moved.T.flatten(), twice, product.repeat(2))
+        speeds, shifts_left = _student_regression(
+            both, moved.T.flatten(), twice, of_shift.repeat(2)
+        )
         return torch.stack([*speeds.view(2, width), rate], dim=1), turns_left + shifts_left
 
 
@@ -392,7 +397,7 @@ def _student_regression(
     features: Tensor,
     target: Tensor,
     windows: Windows,
-    product: Tensor,
+    near_zero: Tensor,
 ) -> tuple[Tensor, list[Errors]]:
     """Return weights by Student's t, and the errors of each kind.
 
@@ -400,7 +405,7 @@ def _student_regression(
         features: [W, F]: of speeds, products and losses.
         target: [W].
         windows: their kinds and weights.
-        product: whether each feature is a product, [F].
+        near_zero: whether the prior holds a weight near zero, [F].
     """
     features = features.T.contiguous()  # neighbours in memory are summed fastest
     kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
@@ -408,7 +413,7 @@ def _student_regression(
     for kind in kinds:
         size[kind] = target[kind].square().mean().sqrt().clamp(min=1e-9)
     power = (features / size).square().mean(1).sqrt().clamp(min=1e-12)
-    usual = product * (power / _PRODUCTS).square()
+    usual = near_zero * (power / _PRODUCTS).square()
     row_weights, pull = torch.ones_like(target), torch.zeros_like(usual)
     for step in range(REGRESSIONS):
         weighed = features * (windows.weight * row_weights / size.square())
