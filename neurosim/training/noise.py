@@ -29,6 +29,9 @@ from neurosim.training.base import minimise, root_mean_square
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
 
+#: The same for logarithms of the factors of spread, in separate windows.
+SPREAD_PULL = 4.0
+
 #: Smallest difference of residuals, m and rad.
 FINEST = 1e-6
 
@@ -42,6 +45,10 @@ BEGIN = (
 
 #: Nodes and weights of Gauss-Hermite quadrature over a standard normal number.
 _PLACES, _WEIGHTS = (torch.from_numpy(part) for part in hermegauss(11))
+
+#: Degrees of freedom of the errors of windows, and half widths of 80 % intervals of a standard
+#: normal number and of Student's t.
+_FREEDOM, _OF_NORMAL, _OF_STUDENT = 4.0, 1.2816, 1.5332
 
 #: Default ln tau: slight tails.
 SLIGHT = -0.7
@@ -111,3 +118,38 @@ def fit_noise(
         tail=h.detach(),
         sources=u.detach() * size.unsqueeze(-1),
     )
+
+
+def fit_spread(
+    error: Tensor, noise: Tensor, members: Tensor, weight: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return factors of the noise and of the members' differences [3] for windows of rows.
+
+    Errors have Student's t distribution, whose central 80 % are those of the sum of both.
+
+    Args:
+        error: turn, forward and sideways, of models that had not seen the rows, [W, 3].
+        noise: samples of the noise, [D, W, 3].
+        members: differences of the members from the mean, [M, W, 3].
+        weight: of the windows, [W]: what they count together is the number of separate ones.
+    """
+    places = torch.tensor([0.1, 0.9], dtype=noise.dtype)
+    low, high = noise.quantile(places, dim=0)
+    of_noise = ((high - low) / (2.0 * _OF_NORMAL)).square()
+    of_members = members.square().sum(0) / max(len(members), 1)
+    logs = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
+
+    def loss() -> Tensor:
+        logs.grad = None
+        first, second = (2.0 * logs).exp()
+        variance = (of_noise * first + of_members * second).clamp(min=FINEST**2)
+        off = error.square() / variance * (_OF_STUDENT / _OF_NORMAL) ** 2 / _FREEDOM
+        each = (_FREEDOM + 1.0) / 2.0 * off.log1p() + variance.log() / 2.0
+        value = (weight @ each).sum() + SPREAD_PULL / 2.0 * logs.square().sum()
+        value.backward()
+        return value
+
+    with one_thread():
+        minimise([logs], loss, steps=150)
+    first, second = logs.detach().exp()
+    return first, second

@@ -13,7 +13,7 @@ from neurosim.simulators.motion.noise import (
     heaviness,
     in_motion,
 )
-from neurosim.training.noise import fit_noise
+from neurosim.training.noise import fit_noise, fit_spread
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -80,3 +80,32 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     wider = [(size[rest].log().mean(0) - size[~rest].log().mean(0)).exp() for size in sizes]
     assert wider[0].min() > 2.5
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
+
+
+@pytest.mark.parametrize(("of_noise", "of_members"), [(1.0, 1.0), (0.5, 2.0), (2.0, 0.5)])
+def test_short_and_long_windows_are_within_the_spread(of_noise, of_members):
+    generator = torch.Generator().manual_seed(5)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    # Windows of 1, 2, 4, ... rows: noise of rows adds up like a random walk, members' errors do not
+    # change within a window.
+    rows = 2.0 ** (torch.arange(900) % 6)[:, None]
+    size = torch.tensor([0.02, 0.01, 0.005], dtype=torch.float64)
+    noise = rows.sqrt() * size * normal(100, 900, 3)
+    members = 0.3 * rows * size * normal(8, 1, 3)
+    common = 0.3 * rows * size * normal(900, 3)
+    error = of_noise * rows.sqrt() * size * normal(900, 3) + of_members * common
+    first, second = fit_spread(error, noise, members, torch.ones(900, dtype=torch.float64))
+    spread = (first * size).square() * rows + second.square() * members.square().mean(0)
+    held = (error.abs() < 1.2816 * spread.sqrt()).double()
+    for some in (rows <= 2.0, rows >= 16.0):
+        for of_output in held[some[:, 0]].mean(0).tolist():
+            assert of_output == pytest.approx(0.8, abs=0.06)
+    # Few windows change little.
+    first, second = fit_spread(
+        error[:4], noise[:, :4], members[:, :4], torch.full((4,), 0.01).double()
+    )
+    assert first.tolist() == pytest.approx([1.0] * 3, abs=0.05)
+    assert second.tolist() == pytest.approx([1.0] * 3, abs=0.05)

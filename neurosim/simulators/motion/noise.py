@@ -29,7 +29,6 @@ a stop the caster's direction is unknown); tau also depends on distance and turn
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import ClassVar
@@ -99,11 +98,12 @@ class NoiseModel:
         """Return the numbers by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def times(self, factor: float) -> NoiseModel:
-        """Return a noise model that is larger by a factor."""
+    def times(self, factor: float | Tensor) -> NoiseModel:
+        """Return a noise model that is larger by a factor, or by one for each component, [3]."""
+        factors = torch.as_tensor(factor, dtype=torch.float64).expand(3)
         scale = self.log_scale.clone()
-        scale[:, 0] += math.log(factor)
-        return replace(self, log_scale=scale, sources=factor * self.sources)
+        scale[:, 0] += factors.log()
+        return replace(self, log_scale=scale, sources=self.sources * factors.unsqueeze(1))
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""

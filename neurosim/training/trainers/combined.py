@@ -36,10 +36,10 @@ from neurosim.simulators.motion.drive import DriveModel, Underway
 from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
-from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, residual
+from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, disturb, residual
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.error_size import row_weights
-from neurosim.training.noise import fit_noise
+from neurosim.training.noise import fit_noise, fit_spread
 from neurosim.training.trainers.drive_fit import Fit, Motion, fit_again, fit_drive
 from neurosim.training.trainers.floor_fit import FloorFit, evened, fit_floor
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
@@ -49,7 +49,7 @@ OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
     *("laws", "modes", "car", "dead_band", "swing", "process", "row_weights", "drive_members"),
-    "floor",
+    *("floor", "spread"),
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
@@ -67,6 +67,9 @@ OF_HALVES = 0.88
 #: Number of rows up to which laws are searched again in halves, because the first search is the
 #: larger part of the uncertainty (24 rows: 80 % intervals of the turn contain 84 %, otherwise 69).
 SCARCE = 50
+#: Parts of a log, each predicted by drive models of the others, the largest number of rows of a
+#: block in one, and samples of the noise, for the spread of windows.
+PARTS, BLOCK, SPREAD_DRAWS = 4, 300, 50
 #: Number of steps of the tried weights of the Gaussian process.
 _FRACTIONS = 10
 #: If a chord is shorter than this fraction of its arc, its end tells nothing about the speed.
@@ -116,7 +119,8 @@ class CombinedSettings(Checked):
             than its actuators), ``car`` (a robot that turns only while it drives), ``dead_band``,
             ``swing`` (how a caster turns when the direction changes), ``process`` (the Gaussian
             process), ``row_weights`` (rows with larger errors count less), ``drive_members`` (a
-            drive model for each member), ``floor`` (a map of the slip over the board).
+            drive model for each member), ``floor`` (a map of the slip over the board), ``spread``
+            (the size of noise and of members' differences by windows of a log).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -423,14 +427,14 @@ class CombinedTrainer:
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
-    def _of_other_half(self, outputs: Tensor) -> Tensor:
-        """Return displacements [N, 3] of whole rows by drive models of the other half.
+    def _of_others(self, outputs: Tensor, part: Tensor) -> Tensor:
+        """Return displacements [N, 3] of whole rows by drive models of the other parts' rows.
 
         Args:
             outputs: outputs [N, 3] of the process, which has not seen the rows either.
+            part: number of each row's part, [N].
         """
-        half, means = self._half[: len(outputs)], []
-        seen = torch.stack([~half, half]).to(outputs)
+        seen = torch.stack([part != k for k in range(int(part.max()) + 1)]).to(outputs)
         if len(outputs) > SCARCE:
             fits = fit_again(self._fit, seen)
         else:
@@ -438,12 +442,13 @@ class CombinedTrainer:
             laws, own = self._fit.searched, self._fit.rows
             chosen = own.modes is not None, own.steered
             fits = [fit_drive(rows, laws, self._band, *chosen) for rows in each]
+        means = []
         for fit in fits:
             x, under = self._inputs(fit)
             changing, twist = self._phases(fit.drive, x, under)
             twist = twist + x[:, self._columns.duration, None] * outputs
             means.append(se2.compose(changing, se2.exp(twist)))
-        return torch.where(half[:, None], *means)
+        return torch.stack(means)[part, torch.arange(len(part))]
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
         """Return the weight of the process for each output, [3].
@@ -507,9 +512,27 @@ class CombinedTrainer:
                 own[o] = centre + torch.cholesky_solve(draw, triangle).squeeze(1)
             linear[1 + m], part = change[:, : inputs + 1], change[:, inputs + 1 :]
             kernel[1 + m] = kernel[0] + part + trusted * (own - mean)
-        network = ProductSummationNetwork(inputs, products=0, summations=1)
-        none = torch.zeros(1 + count, OUTPUTS, 0, inputs, dtype=torch.float64)
-        of_unit = torch.ones(1 + count, OUTPUTS, 1, dtype=torch.float64)
+        simulator = self._made(linear, kernel)
+        unseen = (best.unseen * fractions).T
+        if settings.noise:
+            simulator.noise = noise = self._noise(simulator, unseen)
+            if self._windows is not None and "spread" not in settings.without:
+                each = self._spread(noise, unseen, torch.cat([linear, kernel], 2))
+                linear, kernel = (
+                    part[:1] + each[1] * (part - part[:1]) for part in (linear, kernel)
+                )
+                simulator = self._made(linear, kernel)
+                simulator.noise = noise.times(each[0])
+        simulator.meta = {"composition": self._composition()}
+        self._simulator = simulator
+        return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
+
+    def _made(self, linear: Tensor, kernel: Tensor) -> MotionNetwork:
+        """Return the simulator of weights: one and inputs [M, 3, 1 + J], units [M, 3, K]."""
+        process = self._best.process
+        network = ProductSummationNetwork(linear.shape[2] - 1, products=0, summations=1)
+        none = torch.zeros(*linear.shape[:2], 0, linear.shape[2] - 1, dtype=torch.float64)
+        of_unit = torch.ones(*linear.shape[:2], 1, dtype=torch.float64)
         weights = Weights(
             exponents=none,
             product_weights=none[..., 0],
@@ -518,7 +541,7 @@ class CombinedTrainer:
             summation_weights=of_unit,
             bias=linear[..., 0],
         )
-        simulator = MotionNetwork(
+        return MotionNetwork(
             self._data.inputs,
             network,
             network.join(weights),
@@ -526,18 +549,12 @@ class CombinedTrainer:
             torch.ones(OUTPUTS),
             "residual-twist",
             dead_band=self._dead_band,
-            central=count > 0,
+            central=len(linear) > 1,
             derived=self._derived,
             drive=self._drive,
-            kernel_units=KernelUnits(best.process.centres, best.process.lengths, kernel),
+            kernel_units=KernelUnits(process.centres, process.lengths, kernel),
             floor=None if self._floor is None else self._floor.floor,
         )
-        simulator.meta = {"composition": self._composition()}
-        unseen = (best.unseen * fractions).T
-        if settings.noise:
-            simulator.noise = self._noise(simulator, unseen)
-        self._simulator = simulator
-        return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
 
     def _noise(self, simulator: MotionNetwork, unseen: Tensor) -> NoiseModel:
         """Learn the noise, which includes the uncertainty of halves of the rows.
@@ -549,13 +566,11 @@ class CombinedTrainer:
             unseen: outputs [N, 3] of the process for rows that it has not seen.
         """
         rows, whole = self._rows, len(self._data.x)
-        moved = rows.y.clone()
-        if self._floor is not None:
-            moved[:whole, 2] -= self._floor.unseen
+        moved = self._moved_evenly()
         few = whole <= FEW
         if few:
             some = slice(whole)
-            mean = self._of_other_half(unseen[some])
+            mean = self._of_others(unseen[some], (~self._half[some]).long())
         else:
             some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
             mean = simulator.from_outputs(unseen[some], rows.x[some])
@@ -563,6 +578,47 @@ class CombinedTrainer:
         weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
         noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight)
         return noise.times(OF_HALVES) if few else noise
+
+    def _moved_evenly(self) -> Tensor:
+        """Return the displacements [N, 3] of rows, without what the floor adds to the turn."""
+        moved = self._rows.y.clone()
+        if self._floor is not None:
+            moved[: len(self._data.x), 2] -= self._floor.unseen
+        return moved
+
+    def _spread(self, noise: NoiseModel, unseen: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Return factors of the noise [3], and of the members' differences [3, 1], for windows.
+
+        The noise of a row includes that of the poses at its ends, which does not add up in a
+        window; the mistakes of a slow robot do, more than those of members.
+
+        Args:
+            noise: learned from rows.
+            unseen: outputs [N, 3] of the process for rows that it has not seen.
+            weights: of the mean and the members, of one, inputs and units, [M, 3, 1 + J + K].
+        """
+        rows, windows, whole = self._rows, self._windows, len(self._data.x)
+        assert windows is not None
+        row, block = torch.arange(whole), min(-(-whole // PARTS), BLOCK)
+        mean = self._of_others(unseen[:whole], row // block % PARTS)
+
+        def summed(values: Tensor) -> Tensor:
+            """Return sums of values [..., N, 3] over windows, [..., W, 3]."""
+            until = torch.cat([torch.zeros_like(values[..., :1, :]), values.cumsum(-2)], -2)
+            return until[..., windows.end, :] - until[..., windows.first, :]
+
+        z = noise.draw(whole, SPREAD_DRAWS, torch.Generator().manual_seed(self._seed))
+        own = [
+            residual(mean, disturb(noise, self._columns, rows.x[:whole], mean, one))
+            for one in z.unbind(1)
+        ]
+        inputs = self._units_of(rows.given[:whole], self._best.units[:whole])
+        differs = torch.einsum("nk,mok->mno", inputs, (weights - weights[:1])[1:])
+        differs = (differs * rows.factor[:whole]).roll(1, -1)  # the turn first
+        error = summed(residual(mean, self._moved_evenly()[:whole]))
+        sums = summed(torch.stack(own)), summed(differs)
+        of_noise, of_members = fit_spread(error, *sums, windows.weight)
+        return of_noise, of_members.roll(-1).unsqueeze(1)
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
