@@ -19,10 +19,10 @@ Intervals: the percentage of windows within the central intervals of 50, 80 and 
 output; for each robot their mean over lengths and outputs, and by how many points those of 80 % are
 off on average.
 
-Constants were chosen on some of the robots: those of learning by windows on ``dart``, ``asphalt``
-and ``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``, that of a slow
-body on two boats that are not here. ``gravel``, ``sand``, ``utias``, ``lab 105``, ``four wheels``,
-``boat`` and ``barge`` are only reported. The last five, simulated, are driven as by hand.
+Constants were chosen on some of the robots: those of learning by windows and of cars on ``dart``,
+``asphalt`` and ``f1tenth``, those of intervals on ``dart``, ``asphalt``, ``lab 104``, ``boat`` and
+``barge``, that of a slow body on two boats that are not here. ``gravel``, ``sand``, ``utias``,
+``lab 105`` and ``four wheels`` are only reported. The last five, simulated, are driven as by hand.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
 expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).

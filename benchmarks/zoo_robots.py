@@ -114,14 +114,18 @@ class Robot:
         self, commands: Array, times: Array, rng: np.random.Generator, noisy: bool
     ) -> tuple[Array, Array]:
         """Return the poses where commands begin [N, 3] and at the instants [N, LOOKS, 3]."""
-        count = len(self.names)
-        slips = self.noise[0] * rng.standard_normal((len(commands), count)) * noisy
-        kicks = rng.standard_normal((len(commands), 3)) * noisy
-        kicks *= np.array([self.noise[1], self.noise[1], self.noise[2]])
+        slips, kicks = self._disturbed(len(commands), rng, noisy)
         each = (self.scale, self.gain, self.lag, self.dead_band, self.largest)
         arrays = [np.asarray(values, float) for values in each]
         rest = (self.slowing, self.rate, self.delay, self.bend, self.geometry)
         return _drive(self.kind, *arrays, rest, self.slip, commands, slips, kicks, times)
+
+    def _disturbed(self, count: int, rng: np.random.Generator, noisy: bool) -> tuple[Array, Array]:
+        """Return noise of commands: relative, of each actuator [N, C], and of poses [N, 3]."""
+        relative, *pose = self.noise
+        slips = relative * rng.standard_normal((count, len(self.names))) * noisy
+        kicks = rng.standard_normal((count, 3)) * noisy
+        return slips, kicks * np.take(pose, (0, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -173,13 +177,18 @@ class Boat(Robot):
     def _poses(
         self, commands: Array, times: Array, rng: np.random.Generator, noisy: bool
     ) -> tuple[Array, Array]:
-        slips = self.noise[0] * rng.standard_normal((len(commands), 2)) * noisy
-        kicks = rng.standard_normal((len(commands), 3)) * noisy
-        kicks *= np.array([self.noise[1], self.noise[1], self.noise[2]])
+        slips, kicks = self._disturbed(len(commands), rng, noisy)
         power = commands[:, :2] / np.array(self.largest)
         power = np.where(power < 0.0, self.backwards * power, power) * (1.0 + slips)
         constants = (*self.thrust, *self.drag, *self.coupling)
         return _sail(power, np.array(self.lag), constants, kicks, times)
+
+
+@njit(cache=True)
+def _kicked(pose, x, y, theta, kick, fraction):
+    """Write a pose with the part of a command's noise until then."""
+    pose[0], pose[1] = x + kick[0] * fraction, y + kick[1] * fraction
+    pose[2] = theta + kick[2] * fraction
 
 
 @njit(cache=True)
@@ -210,10 +219,7 @@ def _sail(power, lag, constants, kicks, times):
                 y += h * (u * math.sin(middle) + v * math.cos(middle))
                 theta += r * h
             elapsed = times[i, k]
-            fraction = elapsed / times[i, -1]
-            poses[i, k, 0] = x + kicks[i, 0] * fraction
-            poses[i, k, 1] = y + kicks[i, 1] * fraction
-            poses[i, k, 2] = theta + kicks[i, 2] * fraction
+            _kicked(poses[i, k], x, y, theta, kicks[i], elapsed / times[i, -1])
         x, y, theta = poses[i, -1, 0], poses[i, -1, 1], poses[i, -1, 2]
     return starts, poses
 
@@ -298,10 +304,7 @@ def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, sli
                 y += h * (v * math.sin(middle) + side * math.cos(middle))
                 theta += w * h
             elapsed = times[i, k]
-            fraction = elapsed / times[i, -1]
-            poses[i, k, 0] = x + kicks[i, 0] * fraction
-            poses[i, k, 1] = y + kicks[i, 1] * fraction
-            poses[i, k, 2] = theta + kicks[i, 2] * fraction
+            _kicked(poses[i, k], x, y, theta, kicks[i], elapsed / times[i, -1])
         x, y, theta = poses[i, -1, 0], poses[i, -1, 1], poses[i, -1, 2]
         began += elapsed
     return starts, poses
