@@ -7,11 +7,11 @@ method holds to be best is measured in ten further trials, of which the mean cou
     python benchmarks/back_to_reality.py --show                   # what there is so far
     python benchmarks/back_to_reality.py --seeds 10               # continue
     python benchmarks/back_to_reality.py -o table.jsonl           # a new table: one seed, three
-    places
+    floors
     python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings next to ours
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
-Each run (a method, a seed, a place) is a line of the file, written as soon as the run ends; runs in
+Each run (a method, a seed, a floor) is a line of the file, written as soon as the run ends; runs in
 the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
 parameter is tuned on carpet and parquet. ``--paper`` takes the paper's 600 generations, 45 for L3
 and trials of 20 s; without it there are 120, 20 and 5 s.
@@ -88,10 +88,10 @@ class Remembering(Simulated):
 class Job:
     """A run of a method: where it walks, its seed, its budget."""
 
-    def __init__(self, place: str, seed: int, size: dict[str, Any], folder: Path):
+    def __init__(self, floor: str, seed: int, size: dict[str, Any], folder: Path):
         self.seed, self.size, self.budget = seed, size, size["budget"]
         self.simulated = Remembering(LeggedSimulator(), Walking(size["seconds"]), Gait())
-        self.trials = Journal(VirtualWalker(Gait(), place, seed), folder / "trials.jsonl")
+        self.trials = Journal(VirtualWalker(Gait(), floor, seed), folder / "trials.jsonl")
 
     def alternate(self, settings: str, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
         """Run the alternation."""
@@ -202,12 +202,12 @@ def changed(texts: list[str]) -> dict[str, Any]:
     return changes
 
 
-def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, Any]:
+def run(method: str, floor: str, seed: int, size: dict[str, Any]) -> dict[str, Any]:
     """Run a method, and measure the gaits that it held to be best."""
     with tempfile.TemporaryDirectory() as folder:
-        job = Job(place, seed, size, Path(folder))
+        job = Job(floor, seed, size, Path(folder))
         order, about = METHODS[method](job)
-        again = VirtualWalker(Gait(), place, 10_000 + seed)
+        again = VirtualWalker(Gait(), floor, 10_000 + seed)
         numbers = np.arange(AGAIN) * 13
         read, known = {}, {}
         for count in [at for at in READ_AT if at <= job.budget] or [job.budget]:
@@ -219,7 +219,7 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
         hand = float(again.trials(np.tile(HAND, (AGAIN, 1)), numbers).mean())
     return {
         "method": method,
-        "place": place,
+        "floor": floor,
         "seed": seed,
         "size": size,
         "read": read,
@@ -233,14 +233,14 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the tables: how far each method gets, which one wins, and how much L3 improves."""
     text, counts = "", list(rows[0]["read"]) if rows else []
-    for place in FLOORS:
-        there = [row for row in rows if row["place"] == place]
+    for floor in FLOORS:
+        there = [row for row in rows if row["floor"] == floor]
         by = {m: {row["seed"]: row for row in there if row["method"] == m} for m in METHODS}
         by = {method: own for method, own in by.items() if own}
         if not there:
             continue
         hand = 100 * np.mean([row["hand"] for row in there])
-        text += f"\n{place}: hand-tuned {hand:.1f} cm/s\n"
+        text += f"\n{floor}: hand-tuned {hand:.1f} cm/s\n"
         text += (
             f"| {'cm/s, medians of seeds':40} | seeds | at {' | at '.join(counts)} | times hand "
         )
@@ -263,23 +263,23 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def medians(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return for each place the hand-tuned gait's speed, and each method's: cm/s after all trials.
+    """Return for each floor the hand-tuned gait's speed, and each method's: cm/s after all trials.
 
     A method has the median of its seeds, and how many passed :data:`PAPER` times the hand-tuned
     gait.
     """
     result: dict[str, dict[str, Any]] = {}
-    for place in FLOORS:
-        there = [row for row in rows if row["place"] == place]
+    for floor in FLOORS:
+        there = [row for row in rows if row["floor"] == floor]
         if not there:
             continue
         methods = [method for method in METHODS if any(row["method"] == method for row in there)]
-        result[place] = {"hand-tuned": 100 * float(np.mean([row["hand"] for row in there]))}
+        result[floor] = {"hand-tuned": 100 * float(np.mean([row["hand"] for row in there]))}
         for method in methods:
             own = [row for row in there if row["method"] == method]
             speeds = [list(row["read"].values())[-1][0] for row in own]
             passed = sum(s >= PAPER * row["hand"] for s, row in zip(speeds, own, strict=True))
-            result[place][method] = {
+            result[floor][method] = {
                 "speed": 100 * float(np.median(speeds)), "passed": passed, "seeds": len(own)
             }  # fmt: skip
     return result
@@ -349,7 +349,7 @@ def main() -> None:
     parser.add_argument("--speed", action="store_true", help="measure what a trial costs")
     parser.add_argument("--seeds", type=int, default=1, help="how many")
     parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
-    parser.add_argument("--places", nargs="+", choices=list(FLOORS), default=list(FLOORS))
+    parser.add_argument("--floors", nargs="+", choices=list(FLOORS), default=list(FLOORS))
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument(
         "--change", nargs="+", default=[], metavar="SETTING=VALUE",
@@ -383,17 +383,17 @@ def main() -> None:
     except FileError as error:  # such as runs of another size
         parser.error(f"{error}; name another file: -o")
     rows = list(file.rows)
-    known = {(row["method"], row["place"], row["seed"]) for row in rows}
+    known = {(row["method"], row["floor"], row["seed"]) for row in rows}
     for seed in range(options.first_seed, options.first_seed + options.seeds):
         if options.show:
             break
         Remembering.forget()
-        for place in options.places:
+        for floor in options.floors:
             for method in options.methods:
-                if (method, place, seed) not in known:
-                    rows.append(run(method, place, seed, size))
+                if (method, floor, seed) not in known:
+                    rows.append(run(method, floor, seed, size))
                     file.append(rows[-1])
-                    print(f"{place}, seed {seed}: {method}", flush=True)
+                    print(f"{floor}, seed {seed}: {method}", flush=True)
     print(json.dumps(medians(rows)) if options.json else table(rows))
 
 

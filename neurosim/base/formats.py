@@ -694,6 +694,7 @@ class SensorLearned(Format):
         rms_error: root mean square error on held-out readings.
         rms: standard deviation of these readings.
         map: number of its map.
+        flat: whether it saw nothing: its readings are all the same.
     """
 
     name: str
@@ -705,6 +706,7 @@ class SensorLearned(Format):
     rms_error: float
     rms: float
     map: int
+    flat: bool
 
 
 class ReadingsLearned(Format):

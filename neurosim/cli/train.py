@@ -99,11 +99,9 @@ def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
 
 
 def _sensors_in_words(readings: dict[str, Any] | None) -> str:
-    from neurosim.training.sensors import NOTHING
-
     words = ""
     for one in (readings or {}).get("sensors", ()):
-        if one["noise"] < NOTHING and one["rms"] < NOTHING:
+        if one["flat"]:
             words += f"{one['name']} saw nothing on the board.\n"
             continue
         words += (

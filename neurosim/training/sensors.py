@@ -246,6 +246,7 @@ def learn_sensors(
             "aside": round(float(mounts[s, 1]), 5),
             "after": round(float(mounts[s, 2]), 4),
             "map": place[s],
+            "flat": bool(flat[s]),
             "noise": round(float(noise[s, 0]), 5),
             "place_noise": round(float(noise[s, 1]), 5),
             "rms_error": round(float(tried[s]), 5),

@@ -82,6 +82,7 @@ def test_what_does_not_follow_from_the_place_is_noise():
     assert sensors.noise[2].tolist() == [0.0, 0.0]
     assert sensors.mount[3].tolist() == [0.0, 0.0]
     assert sensors.maps[sensors.place[3]].numpy() == pytest.approx(0.0005, abs=1e-4)
+    assert [one["flat"] for one in about["sensors"]] == [False, False, True, True]
     assert "far saw nothing on the board.\n" in _sensors_in_words(about)
     assert "eye_0, 5.9 cm ahead and 3.0 cm to the left" in _sensors_in_words(about)
     assert about["sensors"][1]["rms_error"] == pytest.approx(0.173, abs=0.02)
