@@ -131,8 +131,13 @@ def fit_spread(
         error: turn, forward and sideways, of models that had not seen the rows, [W, 3].
         noise: samples of the noise, [D, W, 3].
         members: differences of the members from the mean, [M, W, 3].
-        weight: of the windows, [W]: what they count together is the number of separate ones.
+        weight: of the windows, [W]; together, they count as many as there are separate ones.
+
+    Returns:
+        Factors of turn, forward and sideways; 1 without windows.
     """
+    if not len(weight):
+        return torch.ones(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64)
     places = torch.tensor([0.1, 0.9], dtype=noise.dtype)
     low, high = noise.quantile(places, dim=0)
     of_noise = ((high - low) / (2.0 * _OF_NORMAL)).square()

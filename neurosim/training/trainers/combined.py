@@ -597,8 +597,10 @@ class CombinedTrainer:
             unseen: outputs [N, 3] of the process for rows that it has not seen.
             weights: of the mean and the members, of one, inputs and units, [M, 3, 1 + J + K].
         """
-        rows, windows, whole = self._rows, self._windows, len(self._data.x)
-        assert windows is not None
+        rows, whole = self._rows, len(self._data.x)
+        assert self._windows is not None
+        stride = -(-len(self._windows.first) // self._settings.noise_rows)
+        windows = Windows(*(part[::stride] for part in self._windows))
         row, block = torch.arange(whole), min(-(-whole // PARTS), BLOCK)
         mean = self._of_others(unseen[:whole], row // block % PARTS)
 
@@ -607,17 +609,17 @@ class CombinedTrainer:
             until = torch.cat([torch.zeros_like(values[..., :1, :]), values.cumsum(-2)], -2)
             return until[..., windows.end, :] - until[..., windows.first, :]
 
-        z = noise.draw(whole, SPREAD_DRAWS, torch.Generator().manual_seed(self._seed))
-        own = [
-            residual(mean, disturb(noise, self._columns, rows.x[:whole], mean, one))
-            for one in z.unbind(1)
-        ]
+        generator, own = torch.Generator().manual_seed(self._seed), []
+        for _ in range(SPREAD_DRAWS):
+            z = noise.draw(whole, 1, generator).squeeze(1)
+            drawn = disturb(noise, self._columns, rows.x[:whole], mean, z)
+            own.append(summed(residual(mean, drawn)))
         inputs = self._units_of(rows.given[:whole], self._best.units[:whole])
         differs = torch.einsum("nk,mok->mno", inputs, (weights - weights[:1])[1:])
         differs = (differs * rows.factor[:whole]).roll(1, -1)  # the turn first
         error = summed(residual(mean, self._moved_evenly()[:whole]))
-        sums = summed(torch.stack(own)), summed(differs)
-        of_noise, of_members = fit_spread(error, *sums, windows.weight)
+        sums = torch.stack(own), summed(differs)
+        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight)
         return of_noise, of_members.roll(-1).unsqueeze(1)
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
