@@ -381,6 +381,7 @@ def main() -> None:
     parser.add_argument("--robots", default=",".join(ROBOTS), help="a,b,...")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--quick", action="store_true", help="fewer peers, fewer draws")
+    parser.add_argument("--without", nargs="+", default=(), help="parts of ours left out: spread")
     parser.add_argument("--peers", type=Path, help="JSON file that keeps peers' errors")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -398,7 +399,7 @@ def main() -> None:
             if options.peers:
                 files.write_text(options.peers, json.dumps(kept))
         data, began = data_of(robot), time.monotonic()
-        simulator = learn(data, options.seed)
+        simulator = learn(data, options.seed, without=tuple(options.without))
         seconds = time.monotonic() - began
         ours: dict[str, dict] = {}
         for length in lengths_of(robot):

@@ -253,7 +253,7 @@ class Motion:
         weight: weights of the rows, [N]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
-        steered: whether the prior is that of a car, see :func:`near_zero`.
+        steered: whether the prior is that of a car, see :func:`terms_near_zero`.
     """
 
     x: Tensor
@@ -457,7 +457,9 @@ def fit_drive(
             rows, searched = replace(rows, steered=True), cars
     fit, cost = _fully(rows, roughly, band, *limits)
     twists, _ = searched.fitted(Actuators.of(roughly[None], none))
-    modes = body_modes(twists[0, :count].T) if body and count > 1 else None
+    # Of a car, only the products tell the turn: there are no modes in its linear terms.
+    body = body and count > 1 and not rows.steered
+    modes = body_modes(twists[0, :count].T) if body else None
     if modes is None:
         return fit
     of_modes = replace(searched, modes=modes)
@@ -728,7 +730,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     """Return the best kinematics [P, F, 3], and their errors."""
     x, y, within = motion.x, motion.y, motion.within
     pieces, parts = motion.distances(actuators)
-    of_turn, of_shift = near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
+    of_turn, of_shift = terms_near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
     rate, turns_left = _huber_regressions(pieces.sum(1), turn, of_turn, weight)
@@ -762,7 +764,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     return kinematics, errors
 
 
-def near_zero(count: int, width: int, steered: bool) -> tuple[Tensor, Tensor]:
+def terms_near_zero(count: int, width: int, steered: bool) -> tuple[Tensor, Tensor]:
     """Return which terms the prior holds near zero: of the turn, and of the translation, [width].
 
     They are products and losses. Where rows do not tell the terms of the turn from each other, say

@@ -27,10 +27,10 @@ from neurosim.training.trainers.drive_fit import (
     Actuators,
     Errors,
     Fit,
-    near_zero,
     outside,
     products_and_losses,
     searched_terms,
+    terms_near_zero,
 )
 
 #: Durations of windows, s, and number of windows that begin within the length of one.
@@ -206,7 +206,7 @@ class Chains:
         weight: weights of the whole rows, [K]; None: equal.
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
-        steered: whether the prior is that of a car, see :func:`near_zero`.
+        steered: whether the prior is that of a car, see :func:`terms_near_zero`.
     """
 
     commanded: Tensor
@@ -362,7 +362,7 @@ class Chains:
 
         distance, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
-        of_turn, of_shift = near_zero(self.commanded.shape[1], width, self.steered)
+        of_turn, of_shift = terms_near_zero(self.commanded.shape[1], width, self.steered)
         rate, turns_left = _student_regression(
             distance[end] - distance[first], turn, windows, of_turn
         )
