@@ -295,7 +295,7 @@ def measure(x: torch.Tensor, targets: torch.Tensor, repeats: int, device: str) -
 
 def whole(dataset: Path, generations: int, device: str) -> dict[str, object]:
     """Run the paper's training; return minutes and errors on the last fifth."""
-    from neurosim.training.evaluate import table_of_errors
+    from neurosim.training.evaluate import compare
     from neurosim.training.train import training_data
     from tracking.datasets.dataset import Dataset
 
@@ -312,7 +312,7 @@ def whole(dataset: Path, generations: int, device: str) -> dict[str, object]:
         "generations": generations,
         "rows": len(earlier),
         "minutes": minutes,
-        "errors": table_of_errors(trainer.result(), later),
+        "errors": compare(trainer.result(), earlier, later).errors(),
     }
 
 

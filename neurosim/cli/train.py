@@ -47,7 +47,7 @@ def train(
         **trainer_options,
     )  # fmt: skip
     errors = simulator.meta["test_errors"]
-    coverage = simulator.meta["test_coverage"]
+    coverage, window = simulator.meta["test_coverage"], simulator.meta["test_window"]
     repeated = simulator.meta["training"]["repeated_rows"]
     readings = simulator.meta.get("readings")
     if repeated:
@@ -59,6 +59,7 @@ def train(
     result = {
         "simulator": str(out),
         "repeated_rows": repeated,
+        "test_window": window,
         "test_errors": errors,
         "test_coverage": coverage,
         **({"readings": readings} if readings else {}),
@@ -67,7 +68,8 @@ def train(
     emit(
         result,
         as_json,
-        f"{out}: mean absolute error on the held-out fifth: {_in_words(errors)} "
+        f"{out}: mean absolute error on the held-out fifth{_windows_in_words(window)}: "
+        f"{_in_words(errors)} "
         f"({result['training_seconds']:.0f} s).{_coverage_in_words(coverage)}\n"
         + _sensors_in_words(readings)
         + next_step(*_next(simulator.command_names, dataset, out)),
@@ -85,6 +87,10 @@ def _in_words(errors: dict[str, Any]) -> str:
         f"{name} {error['mean_absolute_error']:.2f} {error['unit']}"
         for name, error in errors.items()
     )
+
+
+def _windows_in_words(window: float | None) -> str:
+    return "" if window is None else f", in windows of {window:g} s"
 
 
 def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
@@ -133,7 +139,8 @@ _ROWS = (("dtheta", "change in angle"), ("dx", "change in y (dx)"), ("dy", "chan
 
 
 def _table_2(result: dict[str, Any]) -> str:
-    lines = [f"{result['rows']} rows: {result['which']}", ""]
+    windows = _windows_in_words(result["window"])
+    lines = [f"{result['rows']} rows: {result['which']}{windows}", ""]
     columns = [("ours", result["errors"]), ("paper", result["paper"])]
     if result["baseline"]:
         columns.append(("unicycle", result["baseline"]["errors"]))

@@ -11,7 +11,7 @@ from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 from neurosim.reports.predictions import HeldOut, dataset_of, held_out
-from neurosim.training.evaluate import PAPER, READABLE, UNITS
+from neurosim.training.evaluate import PAPER, READABLE, UNITS, Compared
 
 #: Outputs in the paper's order, with the paper's words for them.
 OUTPUTS = {
@@ -49,7 +49,7 @@ def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
         for place, simulator in learned:
             if place in tests:
                 whose = f" ({simulator.name})" if len(learned) > 1 else ""
-                blocks += _figures(tests[place], f"s{place}", whose)
+                blocks += _figures(tests[place].compared, f"s{place}", whose)
         if len(tests) < len(learned):
             blocks.append(
                 _missing(
@@ -156,7 +156,7 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
     notes = []
     for place, simulator in _learned(artefacts):
         if place in tests:
-            table, how = tests[place].errors(), f"tested on {tests[place].how}"
+            table, how = tests[place].compared.errors(), f"tested on {tests[place].how}"
         elif simulator.meta.get("test_errors"):
             table, how = (
                 simulator.meta["test_errors"],
@@ -169,11 +169,11 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
         for row, name in zip(rows, OUTPUTS, strict=True):
             row += _errors(name, table[name])
     for test_ in list(tests.values())[:1]:
-        ideal = test_.baseline_errors()
+        ideal = test_.compared.baseline_errors()
         if ideal is not None:
-            groups.append((test_.baseline[0], 2))
+            groups.append((ideal["description"], 2))
             for row, name in zip(rows, OUTPUTS, strict=True):
-                row += _errors(name, ideal[name])
+                row += _errors(name, ideal["errors"][name])
     notes.append(
         "MSE, the mean squared error of equation 1, is in cm² and deg². The paper's figures are "
         "of another robot and other data (Pretorius et al. 2009, Table 2): they say what size of "
@@ -194,16 +194,17 @@ def _errors(name: str, errors: Mapping[str, Any]) -> list[str]:
     return [f"{errors['mse']:.3f}", _error(name, errors["mean_absolute_error"])]
 
 
-def _figures(test_: HeldOut, prefix: str, whose: str) -> list[Block]:
+def _figures(compared: Compared, prefix: str, whose: str) -> list[Block]:
     blocks: list[Block] = []
-    shown = min(SHOWN, len(test_.actual))
+    shown = min(SHOWN, len(compared.actual))
     clouds = []
     for column, name in ((2, "dtheta"), (0, "dx"), (1, "dy")):
-        actual = READABLE[name] * test_.actual[:, column]
-        predicted = READABLE[name] * test_.predicted[:, column]
+        actual = READABLE[name] * compared.actual[:, column]
+        predicted = READABLE[name] * compared.predicted[:, column]
         error = float(np.mean(np.abs(predicted[:shown] - actual[:shown])))
         words = (
-            f"{OUTPUTS[name]}, predicted and actual values of the first {shown} held-out commands"
+            f"{OUTPUTS[name]}, predicted and actual values of the first {shown} held-out "
+            f"{compared.what}"
         )
         svg = charts.series(
             actual[:shown], predicted[:shown], AXES[name],
@@ -216,10 +217,11 @@ def _figures(test_: HeldOut, prefix: str, whose: str) -> list[Block]:
         blocks.append(Picture(svg, caption, wide=True))
         cloud = charts.scatter(
             actual, predicted, AXES[name],
-            f"{OUTPUTS[name]}: predicted over actual values of all held-out commands",
+            f"{OUTPUTS[name]}: predicted over actual values of all held-out {compared.what}",
             f"{prefix}{name}all",
         )  # fmt: skip
-        clouds.append(Picture(cloud, f"All {len(actual)} held-out commands{whose}: {AXES[name]}."))
+        caption = f"All {len(actual)} held-out {compared.what}{whose}: {AXES[name]}."
+        clouds.append(Picture(cloud, caption))
     return [*blocks, Row(clouds)]
 
 

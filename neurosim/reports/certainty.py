@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
 from neurosim.reports.page import Block, Picture, Row, Section, Table
 from neurosim.reports.predictions import HeldOut
 from neurosim.training.coverage import LEVELS
+from neurosim.training.evaluate import Compared
 
 #: Number of bins in which probabilities of success are compared with results.
 BINS = 5
@@ -20,14 +20,14 @@ BINS = 5
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section | None:
     """Write the section on uncertainty; None without predicted uncertainties."""
     blocks: list[Block] = []
-    ranks_of = {
-        artefacts.simulators[place].name: (f"u{place}", test.central)
+    known = {
+        place: (artefacts.simulators[place].name, test.compared)
         for place, test in tests.items()
-        if test.central is not None
+        if test.compared.central is not None
     }
-    if ranks_of:
-        blocks.append(_intervals({name: ranks for name, (_, ranks) in ranks_of.items()}))
-        blocks.append(Row([_calibration(name, ranks, p) for name, (p, ranks) in ranks_of.items()]))
+    if known:
+        blocks.append(_intervals(list(known.values())))
+        blocks.append(Row([_calibration(*one, f"u{place}") for place, one in known.items()]))
     trials = with_probability(artefacts.trials)
     if trials:
         blocks.append(_trials(trials))
@@ -51,29 +51,31 @@ def brier(trials: Sequence[Trial]) -> tuple[float, float]:
     return float(np.mean((predicted - happened) ** 2)), float(base * (1.0 - base))
 
 
-def _intervals(ranks_of: Mapping[str, NDArray]) -> Table:
+def _intervals(simulators: Sequence[tuple[str, Compared]]) -> Table:
+    coverage = [compared.coverage() or {} for _, compared in simulators]
     rows = [
         [
             f"{level:.0%}",
-            *(f"{fraction:.0%}" for r in ranks_of.values() for fraction in (r <= level).mean(0)),
+            *(f"{part[str(level)]:.0%}" for each in coverage for part in each.values()),
         ]
         for level in LEVELS
     ]
+    what = " or ".join(dict.fromkeys(one.what for _, one in simulators))
     return Table(
-        "Intervals of single commands: nominal probability, and measured fraction",
-        ["predicted", *["dx", "dy", "dtheta"] * len(ranks_of)],
+        f"Intervals of {what}: nominal probability, and measured fraction",
+        ["predicted", *["dx", "dy", "dtheta"] * len(simulators)],
         rows,
-        note="Fractions of the held-out commands of Table 2 within the central interval of that "
+        note=f"Fractions of the held-out {what} of Table 2 within the central interval of that "
         "probability, which covers the simulator's ensemble and its noise.",
-        groups=[(name, 3) for name in ranks_of],
+        groups=[(name, 3) for name, _ in simulators],
     )
 
 
-def _calibration(name: str, ranks: NDArray, prefix: str) -> Picture:
+def _calibration(name: str, compared: Compared, prefix: str) -> Picture:
     fraction = np.linspace(0.0, 1.0, 101)
-    held = (ranks[:, :, None] <= fraction).mean(0)
+    held = (compared.central[:, :, None] <= fraction).mean(0)
     off = float(np.abs(held - fraction).max())
-    words = f"{name}: fraction of held-out commands within an interval, over its probability"
+    words = f"{name}: fraction of held-out {compared.what} within an interval, over its probability"
     lines = {
         output: (fraction, line) for output, line in zip(("dx", "dy", "dtheta"), held, strict=True)
     }

@@ -2,45 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from neurosim.base.errors import FileError
 from neurosim.base.files import sha256
 from neurosim.reports.artefacts import Artefact
-from neurosim.training.coverage import central_ranks
-from neurosim.training.evaluate import errors, predict
-from neurosim.training.unicycle import unicycle
+from neurosim.training.evaluate import Compared, compare
 from tracking.datasets.dataset import Dataset
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Predicted and actual displacements of commands that training never saw.
+class HeldOut(NamedTuple):
+    """Rows that training never saw, compared with a simulator's predictions.
 
     Attributes:
-        predicted, actual: (N, 3) dx, dy in m, dtheta in rad.
-        baseline: description of the ideal robot, and its displacements (N, 3); None if the inputs
-            do not fit one.
+        compared: predicted and actual displacements.
         how: description of the rows, in words.
-        central: (N, 3) probability of the smallest central interval with the actual value,
-            :func:`neurosim.training.coverage.central`; None if the simulator has no noise.
     """
 
-    predicted: NDArray
-    actual: NDArray
-    baseline: tuple[str, NDArray] | None
+    compared: Compared
     how: str
-    central: NDArray | None = None
-
-    def errors(self) -> dict[str, dict[str, Any]]:
-        """Return the simulator's errors by output, in cm and degrees (equation 1)."""
-        return errors(self.predicted, self.actual)
-
-    def baseline_errors(self) -> dict[str, dict[str, Any]] | None:
-        return None if self.baseline is None else errors(self.baseline[1], self.actual)
 
 
 def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, bool] | None:
@@ -71,15 +51,7 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
             )
         seen, rows = dataset.split(fraction)
         how = f"the last {fraction:.0%} of its dataset in time, {len(rows)} commands"
-    ideal = unicycle(seen)
-    baseline = None
-    if ideal is not None:
-        baseline = ideal.description, ideal.displacement(rows.input_array())
-    actual = rows.output_array()
-    return HeldOut(
-        predict(network, rows),
-        actual,
-        baseline,
-        how,
-        central_ranks(network, rows.input_array(), actual, starts=rows.start_array()),
-    )
+    compared = compare(network, seen, rows)
+    if compared.window is not None:
+        how += f", in {compared.what}"
+    return HeldOut(compared, how)

@@ -100,9 +100,9 @@ def summarise(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> dict[str, A
             if final.size:
                 summary[f"final_{what}_error"] = float(np.median(final))
     if tests:
-        summary["test"] = {
-            artefacts.simulators[place].name: test.errors() for place, test in tests.items()
-        }
+        named = {artefacts.simulators[place].name: test.compared for place, test in tests.items()}
+        summary["test"] = {name: compared.errors() for name, compared in named.items()}
+        summary["tested_on"] = {name: compared.what for name, compared in named.items()}
     saved = artefacts.controllers
     fitness = [one.meta["predicted"].get("fitness") for one in saved]
     if saved and None not in fitness and len(controllers.by_task(saved)) == 1:
@@ -129,8 +129,9 @@ def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
         name, errors = next(iter(summary["test"].items()))
         error = {output: measured["mean_absolute_error"] for output, measured in errors.items()}
         parts.append(
-            f"The simulator {name} predicts a held-out command to within {error['dx']:.2f} cm "
-            f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average."
+            f"The simulator {name} predicts held-out {summary['tested_on'][name]} to within "
+            f"{error['dx']:.2f} cm forward, {error['dy']:.2f} cm sideways and "
+            f"{error['dtheta']:.2f} degrees on average."
         )
     parts.append(alternation.verdict(artefacts.alternations))
     if not tried:

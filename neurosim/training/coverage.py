@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion.network import OUTPUTS
-from tracking.datasets.dataset import Dataset
 
 #: Nominal probabilities of the intervals.
 LEVELS = (0.5, 0.8, 0.95)
@@ -19,25 +17,6 @@ DRAWS = 400
 
 #: Number of rows computed at a time.
 _ROWS = 500
-
-
-def coverage(
-    simulator: MotionNetwork, rows: Dataset, seed: int = 0
-) -> dict[str, dict[str, float]] | None:
-    """Return the fractions of a dataset within a simulator's intervals.
-
-    Returns:
-        For each output, level ("0.5", ...) -> fraction of rows within the central interval of that
-        probability; None if the simulator has no noise model.
-    """
-    inputs, actual = rows.input_array(), rows.output_array()
-    ranks = central_ranks(simulator, inputs, actual, seed, starts=rows.start_array())
-    if ranks is None:
-        return None
-    return {
-        name: {str(level): float((ranks[:, place] <= level).mean()) for level in LEVELS}
-        for place, name in enumerate(OUTPUTS)
-    }
 
 
 def central_ranks(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from neurosim.base import files, se2
 from neurosim.base.errors import UserError
 from neurosim.simulators import MotionNetwork, read_simulator
-from neurosim.training.coverage import coverage
+from neurosim.simulators.motion.network import OUTPUTS
+from neurosim.training.coverage import LEVELS, central, central_ranks, draw_displacements
 from neurosim.training.trainers.windows import LENGTHS, windows_of
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
@@ -26,8 +28,10 @@ PAPER = {
     "dtheta": {"mse": 26.412, "mean_absolute_error": 3.585},
 }
 
-#: Length of the windows for errors if rows follow one another, s.
+#: Length of the windows in which rows are compared if they follow one another, s.
 WINDOW = 1.0
+#: Number of samples of rows that follow one another.
+_JOINED_DRAWS = 200
 #: Time after which a robot has a command's final speeds, s.
 _CALM = 5.0
 
@@ -51,8 +55,8 @@ def evaluate(
         number of ``rows``, ``which`` rows in words, ``held_out`` (bool), ``errors`` by output
         (``mse``, ``mean_absolute_error``, ``unit``) of the simulator, the same of ``paper`` and
         of the ideal unicycle (``baseline``: description and errors; None if the inputs are not a
-        unicycle's); ``coverage`` of its intervals, as :func:`neurosim.training.coverage.coverage`,
-        None without a noise model.
+        unicycle's); ``coverage`` of its intervals, as :meth:`Compared.coverage`; ``window``, the
+        length (s) of the windows in which rows that follow one another are compared, or None.
 
     Raises:
         FileError: if a file is missing or wrong.
@@ -73,14 +77,7 @@ def evaluate(
     if own:
         fitted_to, later = rows.split(held_out)
         used = later if held_out_only else rows
-    ideal = unicycle(fitted_to)
-    baseline = None
-    if ideal is not None:
-        predicted = ideal.displacement(used.input_array())
-        baseline = {
-            "description": ideal.description,
-            "errors": errors(predicted, used.output_array()),
-        }
+    compared = compare(network, fitted_to, used)
     which = "all rows of another dataset than it was trained on"
     if own:
         which = "the last rows, held out of training" if held_out_only else "all rows, seen or not"
@@ -88,10 +85,11 @@ def evaluate(
         "rows": len(used),
         "which": which,
         "held_out": own and held_out_only,
-        "errors": table_of_errors(network, used),
-        "coverage": coverage(network, used),
+        "window": compared.window,
+        "errors": compared.errors(),
+        "coverage": compared.coverage(),
         "paper": {name: {**PAPER[name], "unit": UNITS[name]} for name in PAPER},
-        "baseline": baseline,
+        "baseline": compared.baseline_errors(),
     }
 
 
@@ -111,7 +109,7 @@ def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
     If rows follow one another, it drives through them, with the speeds reached.
     """
     if rows.joined is not None and network.drive is not None:
-        return _driven(network, rows, rows.joined)
+        return _driven(network, rows)[0]
     inputs = torch.tensor(rows.input_array(), device=network.genes.device)
     moved = network.displacement_of(network.chained(inputs))
     starts = rows.start_array()
@@ -120,65 +118,165 @@ def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
     return moved.cpu().numpy()
 
 
-def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) -> NDArray:
-    """Return the displacements (N, 3) in rows that follow one another, all drives in parallel."""
-    inputs = rows.input_array()
-    names = list(rows.inputs)
-    own = [names.index(name) for name in network.command_names]
-    before = [names.index(f"prev_{n}" if n != "duration" else n) for n in network.command_names]
-    starts = np.flatnonzero(~joined)
-    lasts = np.diff(np.append(starts, len(inputs)))
-    # Each drive begins with the final speeds of the previous command.
-    calm = inputs[starts][:, before]
-    calm[:, network.command_names.index("duration")] = step = min(network.longest, _CALM)
-    state = network.start(torch.zeros(len(starts), 3, dtype=torch.float64), member=-1)
-    for _ in range(math.ceil(_CALM / step)):
-        state = network.step(state, torch.from_numpy(calm))
-    moved, where = np.zeros((len(inputs), 3)), rows.start_array()
-    for number in range(lasts.max()):
-        going = np.flatnonzero(lasts > number)
-        place = starts[going] + number
-        was = state[going]
-        if where is not None:  # with the floor's effect there
-            was[:, :3] = torch.from_numpy(where[place])
-        state[going] = network.step(was, torch.from_numpy(inputs[place][:, own]))
-        moved[place] = se2.between(was[:, :3].numpy(), state[going, :3].numpy())
+@dataclass(frozen=True)
+class Compared:
+    """Predictions of rows compared with the robot's motion; if rows follow one another, of windows.
+
+    Attributes:
+        predicted, actual: (W, 3) dx, dy in m, dtheta in rad.
+        baseline: description of the ideal robot, and its displacements (W, 3); None if the inputs
+            do not fit one.
+        central: (W, 3) probability of the smallest central interval with the actual value,
+            :func:`neurosim.training.coverage.central`; None if the simulator has no noise.
+        window: length of the windows, s; None: these are single rows.
+    """
+
+    predicted: NDArray
+    actual: NDArray
+    baseline: tuple[str, NDArray] | None
+    central: NDArray | None
+    window: float | None
+
+    @property
+    def what(self) -> str:
+        """Whether rows or windows are compared, in words."""
+        return "commands" if self.window is None else f"windows of {self.window:g} s"
+
+    def errors(self) -> dict[str, dict[str, Any]]:
+        """Return the simulator's errors, in the form of :func:`errors`."""
+        return errors(self.predicted, self.actual)
+
+    def baseline_errors(self) -> dict[str, Any] | None:
+        """Return the ideal robot's ``description`` and ``errors``, or None."""
+        if self.baseline is None:
+            return None
+        description, displacement = self.baseline
+        return {"description": description, "errors": errors(displacement, self.actual)}
+
+    def coverage(self) -> dict[str, dict[str, float]] | None:
+        """Return the fractions within the simulator's intervals.
+
+        Returns:
+            For each output, level ("0.5", ...) -> fraction within the central interval of that
+            probability; None if the simulator has no noise model.
+        """
+        if self.central is None:
+            return None
+        return {
+            name: {str(level): float((own <= level).mean()) for level in LEVELS}
+            for name, own in zip(OUTPUTS, self.central.T, strict=True)
+        }
+
+
+def compare(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int = 0) -> Compared:
+    """Compare a simulator's predictions of rows with the robot's motion.
+
+    If rows follow one another, what is compared are windows of :data:`WINDOW`, or the longest that
+    there are up to this length: single rows are short, and have mostly the noise of two poses.
+
+    Args:
+        network: the simulator.
+        fitted_to: the rows to which the ideal robot is fitted.
+        rows: the rows to predict.
+        seed: of the random samples for the intervals.
+    """
+    actual, predicted = rows.output_array(), predict(network, rows)
+    ideal = unicycle(fitted_to)
+    baseline = None
+    if ideal is not None:
+        baseline = ideal.description, ideal.displacement(rows.input_array())
+    windows = _windows(rows)
+    if windows is None:
+        starts = rows.start_array()
+        ranks = central_ranks(network, rows.input_array(), actual, seed, starts=starts)
+        return Compared(predicted, actual, baseline, ranks, None)
+    length, first, end = windows
+
+    def over(displacement: NDArray) -> NDArray:
+        """Return displacements [..., W, 3] in windows of rows with displacements [..., N, 3]."""
+        by_row = np.moveaxis(displacement, -2, 0)
+        poses = np.zeros((len(by_row) + 1, *by_row.shape[1:]))
+        for number, each in enumerate(by_row):
+            poses[number + 1] = se2.compose(poses[number], each)
+        return np.moveaxis(se2.between(poses[first], poses[end]), 0, -2)
+
+    ranks = None
+    if network.noise is not None:
+        ranks = central(over(_samples(network, rows, seed)), over(actual))
+    if baseline is not None:
+        baseline = baseline[0], over(baseline[1])
+    return Compared(over(predicted), over(actual), baseline, ranks, length)
+
+
+def _windows(rows: Dataset) -> tuple[float, NDArray, NDArray] | None:
+    """Return the length (s), the first rows, and the rows after the last ones, of windows.
+
+    None if rows do not follow one another, or no windows are that short.
+    """
+    if rows.joined is None:
+        return None
+    duration = torch.tensor(rows.table["duration"].to_numpy(np.float64, copy=True))
+    windows = windows_of(duration, torch.from_numpy(rows.joined))
+    kinds = [kind for kind in windows.kind.unique().tolist() if LENGTHS[kind] <= WINDOW]
+    if not kinds:
+        return None
+    some = windows.kind == kinds[-1]
+    return LENGTHS[kinds[-1]], windows.first[some].numpy(), windows.end[some].numpy()
+
+
+def _samples(network: MotionNetwork, rows: Dataset, seed: int) -> NDArray:
+    """Return random displacements (D, N, 3) of rows that follow one another.
+
+    Each sample keeps its member; noise does not change the speeds with which the next row begins.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    if network.drive is None:
+        x = network.chained(torch.tensor(rows.input_array()))
+        return draw_displacements(network, x, _JOINED_DRAWS, generator).numpy()
+    stepper, commands = network.stepper(), _commands(network, rows)
+    begun = network.over(torch.from_numpy(_driven(network, rows)[1])).numpy()
+    moved = np.empty((_JOINED_DRAWS, len(rows), 3))
+    for draw, own in enumerate(moved):
+        if network.members > 1:
+            begun[:, -1] = draw % network.members
+        z = network.noise.draw(len(rows), 1, generator)[:, 0].numpy()
+        own[:] = se2.between(begun[:, :3], stepper.step(begun, commands, z)[:, :3])
     return moved
 
 
-def windows_of_rows(
-    rows: Dataset, joined: NDArray[np.bool_], displacement: NDArray
-) -> dict[float, NDArray]:
-    """Return the displacements in windows of a length (s) of rows that follow one another.
+def _commands(network: MotionNetwork, rows: Dataset) -> NDArray:
+    """Return the commands (N, C) of rows."""
+    return rows.input_array()[:, [rows.inputs.index(name) for name in network.command_names]]
 
-    Args:
-        rows: the rows, with their durations.
-        joined: whether a row begins at the end of the previous one, (N,).
-        displacement: displacements of the rows, (N, 3).
+
+def _driven(network: MotionNetwork, rows: Dataset) -> tuple[NDArray, NDArray]:
+    """Drive through rows that follow one another, all drives in parallel.
+
+    Returns:
+        The mean's displacements, (N, 3), and its states before the rows, (N, S).
     """
-    duration = torch.tensor(rows.table["duration"].to_numpy(np.float64, copy=True))
-    windows = windows_of(duration, torch.from_numpy(joined))
-    poses = [np.zeros(3)]
-    for each in displacement:
-        poses.append(se2.compose(poses[-1], each))
-    ends = np.array(poses)
-    moved = se2.between(ends[windows.first.numpy()], ends[windows.end.numpy()])
-    return {length: moved[windows.kind.numpy() == k] for k, length in enumerate(LENGTHS)}
-
-
-def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str, Any]]:
-    """Return a simulator's errors on a dataset's rows, in the form of :func:`errors`.
-
-    If rows follow one another, they are errors in windows of :data:`WINDOW`.
-    """
-    predicted, actual, joined = predict(network, rows), rows.output_array(), rows.joined
-    if joined is not None:
-        both = [windows_of_rows(rows, joined, moved) for moved in (predicted, actual)]
-        # The longest existing windows, up to that length.
-        known = [length for length, moved in both[0].items() if len(moved) and length <= WINDOW]
-        if known:
-            predicted, actual = (moved[known[-1]] for moved in both)
-    return errors(predicted, actual)
+    joined, stepper, commands = rows.joined, network.stepper(), _commands(network, rows)
+    assert joined is not None
+    starts = np.flatnonzero(~joined)
+    lasts = np.diff(np.append(starts, len(joined)))
+    # Each drive begins with the final speeds of the previous command.
+    before = [f"prev_{name}" if name != "duration" else name for name in network.command_names]
+    calm = rows.input_array()[starts][:, [rows.inputs.index(name) for name in before]]
+    calm[:, network.command_names.index("duration")] = step = min(network.longest, _CALM)
+    state = network.standing(np.zeros((len(starts), 3)))
+    for _ in range(math.ceil(_CALM / step)):
+        state = stepper.step(state, calm, None)
+    moved, begun = np.zeros((len(joined), 3)), np.zeros((len(joined), state.shape[1]))
+    where = rows.start_array()
+    for number in range(lasts.max()):
+        going = np.flatnonzero(lasts > number)
+        place = starts[going] + number
+        if where is not None:  # with the floor's effect there
+            state[going, :3] = where[place]
+        begun[place] = state[going]
+        state[going] = stepper.step(begun[place], commands[place], None)
+        moved[place] = se2.between(begun[place, :3], state[going, :3])
+    return moved, begun
 
 
 def errors(predicted: NDArray, actual: NDArray) -> dict[str, dict[str, Any]]:

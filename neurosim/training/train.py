@@ -23,8 +23,7 @@ from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.registry import check_device
 from neurosim.training.base import Trainer, TrainingData, Within
-from neurosim.training.coverage import coverage
-from neurosim.training.evaluate import table_of_errors
+from neurosim.training.evaluate import compare
 from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
 from tracking.datasets.dataset import OUTPUTS, Dataset
@@ -110,6 +109,7 @@ def train(
             rows.readings, HELD_OUT, progress=progress
         )
     simulator.perimeter = Perimeter.from_json(rows.meta.get("perimeter"))
+    compared = compare(simulator, earlier, later, seed)
     simulator.meta = {
         **simulator.meta,
         **readings,
@@ -126,8 +126,9 @@ def train(
             "repeated_rows": repeated,
         },
         "history": history,
-        "test_errors": table_of_errors(simulator, later),
-        "test_coverage": coverage(simulator, later, seed),
+        "test_window": compared.window,
+        "test_errors": compared.errors(),
+        "test_coverage": compared.coverage(),
         "source": source,
         "wall_clock": {"training_seconds": round(time.monotonic() - began, 1)},
     }

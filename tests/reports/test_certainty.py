@@ -9,6 +9,7 @@ from report_artefacts import make_trial
 from neurosim.reports import certainty
 from neurosim.reports.artefacts import Artefact, Artefacts, gather
 from neurosim.reports.predictions import HeldOut
+from neurosim.training.evaluate import Compared
 
 
 def trials_saying(tmp_path, predicted):
@@ -38,7 +39,7 @@ def test_intervals_of_single_commands():
     rank = np.concatenate([np.full(10, 0.2), np.full(6, 0.7), np.full(4, 0.9)])
     ranks = np.stack([rank, np.zeros(20), np.ones(20)], axis=1)
     rows = np.zeros((20, 3))
-    test = HeldOut(rows, rows, None, "some", ranks)
+    test = HeldOut(Compared(rows, rows, None, ranks, None), "some")
     artefacts = Artefacts(simulators=[Artefact("simulator", Path("net"), {})])
     table, _ = certainty.section(artefacts, {0: test}).blocks
     assert table.rows == [

@@ -1,5 +1,7 @@
 """Rows that follow one another: driven, cut into windows, learned from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ import torch
 from neurosim.base import se2
 from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.noise import CommandFeatures
-from neurosim.training.evaluate import predict, table_of_errors
+from neurosim.training.evaluate import compare, predict
 from neurosim.training.train import learn, training_data
 from neurosim.training.trainers.drive_fit import Actuators, Fit
 from neurosim.training.trainers.windows import LENGTHS, Chains, windows_of
@@ -145,10 +147,59 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     assert float(simulator.drive.delay) == pytest.approx(0.1, abs=0.03)
     assert simulator.drive.lag.tolist() == pytest.approx([0.15, 0.25], abs=0.05)
     other = dataset_of(joystick(np.random.default_rng(3), 40.0, model))
-    errors = table_of_errors(simulator, other)
+    compared = compare(simulator, data, other)
+    assert compared.window == 1.0
+    errors = compared.errors()
     # In windows of 1 s, with distances of 20 cm and turns of 60 degrees.
     assert errors["dx"]["mean_absolute_error"] < 1.0
     assert errors["dtheta"]["mean_absolute_error"] < 3.0
     # The errors of poses that it was not given add up.
     moved = predict(simulator, other)
     assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)
+
+
+@pytest.mark.slow
+def test_intervals_of_windows_hold_for_drives_of_the_simulator_itself():
+    data = dataset_of(joystick(np.random.default_rng(2), 40.0, drive_model(0.1, (0.15, 0.25))))
+    simulator = learn(training_data(data), 0, members=3)
+    inputs, drives = data.input_array(), 30
+    columns = [data.inputs.index(name) for name in ("v", "w", "duration")]
+    commands = torch.from_numpy(inputs[:, columns])
+    generator = torch.Generator().manual_seed(5)
+    state, moved = simulator.start(torch.zeros(drives, 3), generator), []
+    for command in commands:
+        now = simulator.step(state, command.repeat(drives, 1), generator)
+        moved.append(se2.between(state[:, :3].numpy(), now[:, :3].numpy()))
+        state = now
+    held = []
+    for own in np.stack(moved, axis=1):
+        table = data.table.copy()
+        table[["dx", "dy", "dtheta"]] = own
+        driven = replace(data, table=table)
+        compared = compare(simulator, driven, driven)
+        held.append(compared.central)
+    # The first window is the motion from its first row's beginning to its last one's end.
+    pose, lasted = np.zeros(3), 0.0
+    for each, lasts in zip(own, inputs[:, -1], strict=True):
+        if lasted + lasts / 2.0 > 1.0:
+            break
+        pose, lasted = se2.compose(pose, each), lasted + lasts
+    assert compared.actual[0] == pytest.approx(pose)
+    ranks = np.concatenate(held)
+    for level in (0.5, 0.8, 0.95):
+        assert (ranks <= level).mean(0) == pytest.approx(np.full(3, level), abs=0.05)
+
+
+def test_windows_of_the_ideal_robot_stand_beside_those_of_the_simulator():
+    data = dataset_of(joystick(np.random.default_rng(2), 20.0, drive_model(0.1, (0.15, 0.25))))
+    settings = {"generations": 1, "population": 20, "tournament": 4}
+    simulator = learn(training_data(data), 0, trainer="ga", **settings)
+    compared = compare(simulator, data, data)
+    assert compared.central is None
+    assert compared.coverage() is None
+    _, ideal = compared.baseline
+    assert ideal.shape == compared.actual.shape == compared.predicted.shape
+    # A second of the fitted unicycle, not a tenth: its distances are the robot's.
+    assert np.abs(ideal[:, 0]).mean() == pytest.approx(
+        np.abs(compared.actual[:, 0]).mean(), rel=0.3
+    )
