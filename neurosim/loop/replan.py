@@ -181,7 +181,7 @@ class Replanner:
         self._commands.append(command)
         return command
 
-    def rehearse(self, start: ArrayLike, seed: int = 0) -> tuple[Judgement, Trajectory]:
+    def simulate(self, start: ArrayLike, seed: int = 0) -> tuple[Judgement, Trajectory]:
         """Drive a trial in the simulator, through one random sample.
 
         Before each command the pose is measured with an error, ``placing`` of the settings.

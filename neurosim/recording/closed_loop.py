@@ -27,7 +27,7 @@ from tracking.datasets.recordings import Recording
 LOOKS = 5
 #: Longest time of the observations before the first command, s; there are fewer (at least two) if
 #: they take longer, because long ones differ little.
-REHEARSED = 0.5
+TIMED = 0.5
 #: Factor of the time for an observation over its duration.
 MARGIN = 1.1
 #: A command that is later than this fraction of its duration has missed its deadline.
@@ -129,7 +129,7 @@ class ClosedLoopSession(Session):
         """Get and send all commands; a stopped drive counts as finished."""
         source = self._seeing
         self._check_battery()
-        self._rehearse()
+        self._time_looks()
         asked = self._clock.now()
         begin = due = asked + 2 * self._lead
         with Progress("driving", source.steps, "steps") as progress:
@@ -163,9 +163,9 @@ class ClosedLoopSession(Session):
         """Time between an observation and its command, s."""
         return MARGIN * sorted(self._took)[-2]
 
-    def _rehearse(self) -> None:
+    def _time_looks(self) -> None:
         """Observe and compute commands while the robot stands, to measure their duration."""
-        while len(self._took) < 2 or (len(self._took) < LOOKS and sum(self._took) < REHEARSED):
+        while len(self._took) < 2 or (len(self._took) < LOOKS and sum(self._took) < TIMED):
             looked = self._clock.now()
             _, seen = self._observe(looked, 0.0)
             if seen.pose is not None or not self._seeing.needs_pose:

@@ -124,10 +124,10 @@ def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
     assert abs(result[2] - seconds * twist[2]) < math.pi
 
 
-def test_a_rehearsal_is_exact_where_nothing_is_uncertain():
+def test_a_simulated_drive_is_exact_where_nothing_is_uncertain():
     exact = ReplanSettings(generations=2, draws=4, placing=(0.0, 0.0))
     replanner = Replanner(IdealWheels(), TASK, Plan(slots=2), settings=exact)
-    judged, driven = replanner.rehearse((0.05, 0.0, 0.1))
+    judged, driven = replanner.simulate((0.05, 0.0, 0.1))
     foreseen = replanner.foreseen
     np.testing.assert_allclose(driven.poses[:-2], [one.pose for one in foreseen], atol=1e-9)
     np.testing.assert_allclose(driven.poses[1:-1], [one.after for one in foreseen], atol=1e-9)
@@ -136,13 +136,13 @@ def test_a_rehearsal_is_exact_where_nothing_is_uncertain():
     x, y, _ = driven.poses[-1] - TASK.goals[0]
     assert judged.detail["distance"] == pytest.approx(math.hypot(x, y))
     # The next drive begins from the start.
-    np.testing.assert_array_equal(replanner.rehearse((0.05, 0.0, 0.1))[1].poses, driven.poses)
+    np.testing.assert_array_equal(replanner.simulate((0.05, 0.0, 0.1))[1].poses, driven.poses)
 
 
-def test_rehearsals_are_random_samples():
+def test_simulated_drives_are_random_samples():
     few = ReplanSettings(generations=1, draws=2, placing=(0.0, 0.0), most=1)
     replanner = Replanner(SlippingWheels(), TASK, Plan(slots=2), settings=few)
-    driven = [replanner.rehearse(np.zeros(3), seed)[1] for seed in (1, 2, 1)]
+    driven = [replanner.simulate(np.zeros(3), seed)[1] for seed in (1, 2, 1)]
     # The first command is the same in all, and the wheels slip by 3 %.
     assert len({tuple(each.commands[0]) for each in driven}) == 1
     first = [np.linalg.norm(each.poses[1] - driven[0].poses[1]) for each in driven]
