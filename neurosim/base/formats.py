@@ -994,7 +994,7 @@ class Unmet(Format):
     Attributes:
         drives: number of drives.
         touched: drives in which the robot touched something.
-        fitness: mean fitness.
+        fitness: mean fitness until the robot came near something.
         vehicle: drives in which a hand-written controller touched something.
     """
 

@@ -275,8 +275,8 @@ class Simulator:
         """Return random poses [count, 3] at which the robot fits; None: there is no place."""
         return None
 
-    def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_] | None:
-        """Return whether a robot at poses [..., 3] touches something, [...].
+    def touching(self, poses: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.bool_] | None:
+        """Return whether a robot at poses [..., 3] touches something, or is this near (m), [...].
 
         It is None if there is nothing to touch.
         """

@@ -71,6 +71,20 @@ def test_a_trial_is_in_the_arena_in_which_it_starts(many):
         assert (many.touching(rolled_out.poses[:, one]) == many.places[place].touching(moved)).all()
 
 
+def test_what_is_near_counts_with_a_margin(many):
+    place, own = many.places[1], many.radius
+    poses = np.zeros((200, 3))
+    poses[:, :2] = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 2))
+    gap = place.place.clearance(poses[:, :2]) - own
+    # Overlaps of less than 0.1 mm count as contacts.
+    for margin in (0.0, 0.003, 0.02):
+        expected = gap < margin + 1e-4
+        assert place.touching(poses, margin).tolist() == expected.tolist()
+        moved = poses + (PITCH, 0.0, 0.0)
+        assert many.touching(moved, margin).tolist() == expected.tolist()
+        assert 0 < expected.sum() < 200
+
+
 def test_compiled_rollouts_are_those_of_the_steps(many):
     rng = np.random.default_rng(2)
     starts = many.free_poses(6, rng)

@@ -137,12 +137,12 @@ class ManyArenas(Simulator):
         poses = np.concatenate([self.places[place].free_poses(1, rng) for place in chosen])
         return _moved(poses, chosen)
 
-    def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
+    def touching(self, poses: NDArray[np.float64], margin: float = 0.0) -> NDArray[np.bool_]:
+        """Return whether a robot at poses [..., 3] touches something, or is so near (m), [...]."""
         where, touching = _place_of(poses), np.zeros(poses.shape[:-1], np.bool_)
         for place in np.unique(where):
             here = where == place
-            touching[here] = self.places[place].touching(_moved(poses[here], -place))
+            touching[here] = self.places[place].touching(_moved(poses[here], -place), margin)
         return touching
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:

@@ -197,9 +197,12 @@ class TableSimulator(Simulator):
         """Return this simulator in ``count`` other arenas, random from a seed."""
         return ManyArenas(self, count, seed)
 
-    def touching(self, poses: np.ndarray) -> np.ndarray:
-        """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
-        return self.place.clearance(poses[..., :2]) < self.radius + SLACK
+    def touching(self, poses: np.ndarray, margin: float = 0.0) -> np.ndarray:
+        """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...].
+
+        With a margin (m), also whether it is this near.
+        """
+        return self.place.clearance(poses[..., :2]) < self.radius + SLACK + margin
 
     @property
     def noise_kind(self) -> str:  # type: ignore[override]
