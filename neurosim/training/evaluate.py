@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,8 @@ PAPER = {
 
 #: Length of the windows in which rows are compared if they follow one another, s.
 WINDOW = 1.0
-#: Number of samples of rows that follow one another.
-_JOINED_DRAWS = 200
+#: Number of samples of rows that follow one another, and of parts that memory holds.
+_JOINED_DRAWS, _PARTS = 200, 8
 #: Time after which a robot has a command's final speeds, s.
 _CALM = 5.0
 
@@ -202,7 +203,8 @@ def compare(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int
 
     ranks = None
     if network.noise is not None:
-        ranks = central(over(_samples(network, rows, seed)), over(actual))
+        samples = map(over, _samples(network, rows, seed))
+        ranks = central(np.concatenate(list(samples)), over(actual))
     if baseline is not None:
         baseline = baseline[0], over(baseline[1])
     return Compared(over(predicted), over(actual), baseline, ranks, length)
@@ -224,24 +226,28 @@ def _windows(rows: Dataset) -> tuple[float, NDArray, NDArray] | None:
     return LENGTHS[kinds[-1]], windows.first[some].numpy(), windows.end[some].numpy()
 
 
-def _samples(network: MotionNetwork, rows: Dataset, seed: int) -> NDArray:
-    """Return random displacements (D, N, 3) of rows that follow one another.
+def _samples(network: MotionNetwork, rows: Dataset, seed: int) -> Iterator[NDArray]:
+    """Give random displacements (D, N, 3) of rows that follow one another, some at a time.
 
     Each sample keeps its member; noise does not change the speeds with which the next row begins.
     """
     generator = torch.Generator().manual_seed(seed)
+    numbers = np.array_split(np.arange(_JOINED_DRAWS), _PARTS)
     if network.drive is None:
         x = network.chained(torch.tensor(rows.input_array()))
-        return draw_displacements(network, x, _JOINED_DRAWS, generator).numpy()
+        for some in numbers:
+            yield draw_displacements(network, x, len(some), generator).numpy()
+        return
     stepper, commands = network.stepper(), _commands(network, rows)
     begun = network.over(torch.from_numpy(_driven(network, rows)[1])).numpy()
-    moved = np.empty((_JOINED_DRAWS, len(rows), 3))
-    for draw, own in enumerate(moved):
-        if network.members > 1:
-            begun[:, -1] = draw % network.members
-        z = network.noise.draw(len(rows), 1, generator)[:, 0].numpy()
-        own[:] = se2.between(begun[:, :3], stepper.step(begun, commands, z)[:, :3])
-    return moved
+    for some in numbers:
+        moved = np.empty((len(some), len(rows), 3))
+        for number, own in zip(some, moved, strict=True):
+            if network.members > 1:
+                begun[:, -1] = number % network.members
+            z = network.noise.draw(len(rows), 1, generator)[:, 0].numpy()
+            own[:] = se2.between(begun[:, :3], stepper.step(begun, commands, z)[:, :3])
+        yield moved
 
 
 def _commands(network: MotionNetwork, rows: Dataset) -> NDArray:

@@ -9,6 +9,7 @@ from khepera_data import made_up
 from neurosim.base.place import paper_arena
 from neurosim.controllers import make_controller
 from neurosim.controllers.network import braitenberg
+from neurosim.loop import unmet
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings
@@ -16,6 +17,12 @@ from neurosim.loop.unmet import Unmet, in_unmet_arenas
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.simulator import TableSimulator
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    monkeypatch.setattr(unmet, "ARENAS", 40)
+    monkeypatch.setattr(unmet, "DRIVES", 120)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +84,7 @@ def test_the_choice_among_runs_goes_by_arenas_that_were_not_evolved_in(evaluator
     assert fitness == sorted(fitness, reverse=True)
     evolution = Evolution(evaluator, settings, 0)
     known, other = (
-        replace(evolved[0], predicted={"fitness": own, "unmet": unmet.describe()})
-        for own, unmet in ((500.0, Unmet(20, 18, 30.0)), (400.0, Unmet(20, 0, 350.0)))
+        replace(evolved[0], predicted={"fitness": own, "unmet": there.describe()})
+        for own, there in ((500.0, Unmet(20, 18, 30.0)), (400.0, Unmet(20, 0, 350.0)))
     )
     assert evolution._worth(other) > evolution._worth(known)
