@@ -80,7 +80,7 @@ def test_what_is_near_counts_with_a_margin(many):
     for margin in (0.0, 0.003, 0.02):
         expected = gap < margin + 1e-4
         assert place.touching(poses, margin).tolist() == expected.tolist()
-        moved = poses + (PITCH, 0.0, 0.0)
+        moved = poses + np.array([PITCH, 0.0, 0.0])
         assert many.touching(moved, margin).tolist() == expected.tolist()
         assert 0 < expected.sum() < 200
 
