@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -119,7 +118,7 @@ class Face:
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
         self.record[rows] = self.task.new_record(poses)
-        self._judge(rows, self.record[rows])
+        self.judged = self.task.score(self.record)
         self._goal[rows] = 0
 
     def observation(
@@ -193,18 +192,7 @@ class Face:
         record = self.record[rows]
         self.task.add(record, interval._replace(commands=interval.commands[:, : len(self.outputs)]))
         self.record[rows] = record
-        self._judge(rows, record)
-
-    def _judge(self, rows: Rows, record: NDArray) -> None:
-        """Score trials in rows [K] by their record [K, W]."""
-        judged = self.task.score(record)
-        for field in fields(judged):
-            own = getattr(judged, field.name)
-            if isinstance(own, dict):
-                for name, values in own.items():
-                    self.judged.detail[name][rows] = values
-            else:
-                getattr(self.judged, field.name)[rows] = own
+        self.judged = self.task.score(self.record)
 
 
 def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:

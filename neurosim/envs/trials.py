@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.threads import on_cores, one_core
+from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.envs.face import Face, Rows
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import Simulator
-from neurosim.simulators.engine import ThreadSafe
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Interval, Task
 
-#: Smallest number of trials for which another core is worth starting.
-WORTH_SHARING = 250
 #: Number of samples drawn at once, because a call takes longer than the numbers.
 BLOCK = 16
 
@@ -106,7 +103,6 @@ class Trials:
         """
         self.face = Face(simulator, task, count, observe)
         self._stepper = simulator.stepper()
-        self._least = WORTH_SHARING if isinstance(self._stepper, ThreadSafe) else count
         self._noisy = noise and simulator.has_noise
         self._samples = Samples(simulator, task, count, noise, placing)
         self.state = np.zeros((count, len(simulator.state_names)))
@@ -134,10 +130,11 @@ class Trials:
         self.state[rows] = self._stepper.start(starts, member)
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)
-        noise = self._sampled(rows)
-        with one_core():
-            seen = self._stepper.sense(self.state[rows], noise) if self.face.reads else None
-        self._keep(rows, noise, seen)
+        with one_core(len(self) < WORTH_SHARING):
+            noise = self._sampled(rows)
+            if self.face.reads:
+                seen = self._stepper.sense(self.state[rows], noise)
+                self._readings = self._kept(self._readings, rows, seen)
 
     def step(
         self, commands: NDArray[np.float64]
@@ -154,15 +151,16 @@ class Trials:
             Rewards [B], the growth of the task's progress; whether each trial is decided, and
             whether its time is over, [B] bool each.
         """
+        with one_core(len(self) < WORTH_SHARING):
+            return self._step(commands)
+
+    def _step(
+        self, commands: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         face, episode = self.face, self.face.episode
-        before = face.judged.progress.copy()
-
-        def part(first: int, last: int) -> None:
-            with one_core():
-                self._go_on(slice(first, last), commands[first:last], episode.step, True)
-
-        on_cores(None, part, len(self), self._least)
-        decided = face.judged.over.copy()
+        before = face.judged.progress
+        self._go_on(slice(None), commands, episode.step, True)
+        decided = face.judged.over
         late = (self._steps >= episode.steps) & ~decided
         ended = decided | late
         if episode.rest > 0 and ended.any():
@@ -177,32 +175,35 @@ class Trials:
         noise = None if self._noise is None else self._noise[rows]
         readings = None if self._readings is None else self._readings[rows]
         self._steps[rows] += 1
-        following, seen = self._sampled(rows), None
+        following = self._sampled(rows)
         if self.face.reads:
             given = self.state[rows], commands, noise, following
             after, seen = self._stepper.step_and_sense(*given)
+            self._readings = self._kept(self._readings, rows, seen)
         else:
             after = self._stepper.step(self.state[rows], commands, noise)
-        self.state[rows] = after
+        self.state = self._kept(self.state, rows, after)
         poses, touching = after[:, :3], None
         if self.face.episode.contacts:
             touching = self.face.simulator.touching(poses)
         moved = Interval(poses, duration, active, True, commands, readings, touching)
         self.face.add(rows, moved)
-        self._keep(rows, following, seen)
 
     def _sampled(self, rows: Rows) -> NDArray | None:
-        """Return the noise of the next step, if any."""
-        return self._stepper.noise(self._seeds[rows], self._steps[rows]) if self._noisy else None
+        """Return the noise of the next step, if any, and keep it."""
+        if not self._noisy:
+            return None
+        noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
+        self._noise = self._kept(self._noise, rows, noise)
+        return noise
 
-    def _keep(self, rows: Rows, noise: NDArray | None, readings: NDArray | None) -> None:
-        """Keep noise and readings of the next step."""
-        for name, new in (("_noise", noise), ("_readings", readings)):
-            if new is None:
-                continue
-            if getattr(self, name) is None:
-                setattr(self, name, np.zeros((len(self), *new.shape[1:]), new.dtype))
-            getattr(self, name)[rows] = new
+    def _kept(self, kept: NDArray | None, rows: Rows, new: NDArray) -> NDArray:
+        if isinstance(rows, slice):
+            return new
+        if kept is None:
+            kept = np.zeros((len(self), *new.shape[1:]), new.dtype)
+        kept[rows] = new
+        return kept
 
     def see(self, rows: Rows = slice(None)) -> NDArray[np.float32]:
         """Return the observations of rows [K], [K, I]; call it once after a step."""

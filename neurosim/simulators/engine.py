@@ -256,7 +256,7 @@ def _on_cores(
 
 
 class ThreadSafe:
-    """Base of rollouts and steppers that several threads may run at once."""
+    """Base of rollouts that several threads may run at once."""
 
 
 class CompiledRollouts(ThreadSafe):
@@ -345,7 +345,7 @@ class CompiledRollouts(ThreadSafe):
         return buffers
 
 
-class CompiledStepper(ThreadSafe, Stepper):
+class CompiledStepper(Stepper):
     """Steps batches in compiled code, on all cores."""
 
     def __init__(self, simulator: Any):

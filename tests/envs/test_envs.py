@@ -14,7 +14,7 @@ from simulators_of_tests import Walker, motion_network, tables
 import neurosim as ns
 from neurosim.base.trajectory import Draws
 from neurosim.controllers import Function
-from neurosim.envs import TaskEnv, TaskVectorEnv, environment_id, trials
+from neurosim.envs import TaskEnv, TaskVectorEnv, environment_id
 from neurosim.loop.evaluate import Evaluator
 from neurosim.robots.quadruped import standing
 from neurosim.simulators.legged.simulator import LeggedSimulator
@@ -75,8 +75,7 @@ def test_environments_are_made_by_name(tmp_path):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.value)
 @pytest.mark.parametrize("name", CASES)
-def test_many_on_several_cores_are_what_single_ones_are(name, mode, monkeypatch):
-    monkeypatch.setattr(trials, "WORTH_SHARING", 2)
+def test_many_are_what_single_ones_are(name, mode):
     make, task, settings = CASES[name]
     simulator, count = make(), 5
     native = TaskVectorEnv(simulator, task, num_envs=count, autoreset_mode=mode, **settings)
