@@ -291,8 +291,21 @@ def late_model(seed, sticky):
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 9999))
 def test_a_sequence_of_commands_follows_the_law_integrated_in_small_steps(spans, sticky, seed):
+    # Friction holds a wheel or not: in a few robots the step of the integration decides this, in
+    # rare cases in more of them, which a smaller step shows.
+    few = 2 if sticky else 0
+    bounds = (0.02, 0.004) if sticky else (0.005, 0.001)
+    for dt in (5e-4, 1e-4):
+        differ = np.sort(off(seed, spans, sticky, dt))[:, -1 - few]
+        if (differ < bounds).all():
+            break
+    assert (differ < bounds).all(), differ
+
+
+def off(seed, spans, sticky, dt):
+    """Return the largest differences of speeds and distances of robots from an integration."""
     drive = late_model(seed, sticky)
-    commands, dt = commanded(drive, seed, spans), 5e-4
+    commands = commanded(drive, seed, spans)
     speeds, under = integrated(drive, commands, dt), standing(drive, len(commands))
     ends, distance, away = np.zeros(len(commands), int), 0.0, []
     for command in torch.from_numpy(commands).unbind(1):
@@ -303,11 +316,7 @@ def test_a_sequence_of_commands_follows_the_law_integrated_in_small_steps(spans,
         for b, end in enumerate(ends):
             integral = np.trapezoid(speeds[: end + 1, b], dx=dt, axis=0)
             away.append((under.speed[b].numpy() - speeds[end, b], distance[b] - integral))
-    speed, distance = np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
-    # Friction holds a wheel or not: in a few robots the difference of a step decides this.
-    few = 2 if sticky else 0
-    assert np.sort(speed)[-1 - few] < (0.02 if sticky else 0.005)
-    assert np.sort(distance)[-1 - few] < (0.004 if sticky else 0.001)
+    return np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
 
 
 @settings(max_examples=20, deadline=None)
