@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, se2
 from neurosim.base.errors import UserError
+from neurosim.base.generations import compiling_notice
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.network import OUTPUTS
 from neurosim.training.coverage import LEVELS, central, central_ranks, draw_displacements
@@ -181,6 +182,14 @@ def compare(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int
         rows: the rows to predict.
         seed: of the random samples for the intervals.
     """
+    slow = compiling_notice("the comparison with the recording")
+    try:
+        return _compared(network, fitted_to, rows, seed)
+    finally:
+        slow.cancel()
+
+
+def _compared(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int) -> Compared:
     actual, predicted = rows.output_array(), predict(network, rows)
     ideal = unicycle(fitted_to)
     baseline = None
