@@ -18,7 +18,7 @@ from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 #: starts, and one drive in thirty tells a good network from a better one.
 ARENAS, DRIVES = 200, 600
 #: Distance of the rim from a surface, m, that ends a drive where runs are compared. A robot differs
-#: from its tables by one or two millimetres: of seven networks that touched something in 0.1 to
+#: from its tables by one or two millimetres: of five networks that touched something in 0.1 to
 #: 0.4 % of the drives in tables, those that came so near more often touched more often in the lab.
 NEAR = 0.003
 
