@@ -110,8 +110,9 @@ def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
 
     If rows follow one another, it drives through them, with the speeds reached.
     """
-    if rows.joined is not None and network.drive is not None:
-        return _driven(network, rows)[0]
+    driven = _driven(network, rows)
+    if driven is not None:
+        return driven[0]
     inputs = torch.tensor(rows.input_array(), device=network.genes.device)
     moved = network.displacement_of(network.chained(inputs))
     starts = rows.start_array()
@@ -182,15 +183,8 @@ def compare(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int
         rows: the rows to predict.
         seed: of the random samples for the intervals.
     """
-    slow = compiling_notice("the comparison with the recording")
-    try:
-        return _compared(network, fitted_to, rows, seed)
-    finally:
-        slow.cancel()
-
-
-def _compared(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: int) -> Compared:
-    actual, predicted = rows.output_array(), predict(network, rows)
+    driven, actual = _driven(network, rows), rows.output_array()
+    predicted = predict(network, rows) if driven is None else driven[0]
     ideal = unicycle(fitted_to)
     baseline = None
     if ideal is not None:
@@ -210,13 +204,14 @@ def _compared(network: MotionNetwork, fitted_to: Dataset, rows: Dataset, seed: i
             poses[number + 1] = se2.compose(poses[number], each)
         return np.moveaxis(se2.between(poses[first], poses[end]), 0, -2)
 
-    ranks = None
+    actual, ranks = over(actual), None
     if network.noise is not None:
-        samples = map(over, _samples(network, rows, seed))
-        ranks = central(np.concatenate(list(samples)), over(actual))
+        begun = None if driven is None else driven[1]
+        samples = map(over, _samples(network, rows, begun, seed))
+        ranks = central(np.concatenate(list(samples)), actual)
     if baseline is not None:
         baseline = baseline[0], over(baseline[1])
-    return Compared(over(predicted), over(actual), baseline, ranks, length)
+    return Compared(over(predicted), actual, baseline, ranks, length)
 
 
 def _windows(rows: Dataset) -> tuple[float, NDArray, NDArray] | None:
@@ -235,20 +230,23 @@ def _windows(rows: Dataset) -> tuple[float, NDArray, NDArray] | None:
     return LENGTHS[kinds[-1]], windows.first[some].numpy(), windows.end[some].numpy()
 
 
-def _samples(network: MotionNetwork, rows: Dataset, seed: int) -> Iterator[NDArray]:
+def _samples(
+    network: MotionNetwork, rows: Dataset, begun: NDArray | None, seed: int
+) -> Iterator[NDArray]:
     """Give random displacements (D, N, 3) of rows that follow one another, some at a time.
 
     Each sample keeps its member; noise does not change the speeds with which the next row begins.
+    ``begun`` (N, S) are the states before the rows, None without a drive model.
     """
     generator = torch.Generator().manual_seed(seed)
     numbers = np.array_split(np.arange(_JOINED_DRAWS), _PARTS)
-    if network.drive is None:
+    if begun is None:
         x = network.chained(torch.tensor(rows.input_array()))
         for some in numbers:
             yield draw_displacements(network, x, len(some), generator).numpy()
         return
     stepper, commands = network.stepper(), _commands(network, rows)
-    begun = network.over(torch.from_numpy(_driven(network, rows)[1])).numpy()
+    begun = network.over(torch.from_numpy(begun)).numpy()
     for some in numbers:
         moved = np.empty((len(some), len(rows), 3))
         for number, own in zip(some, moved, strict=True):
@@ -264,14 +262,17 @@ def _commands(network: MotionNetwork, rows: Dataset) -> NDArray:
     return rows.input_array()[:, [rows.inputs.index(name) for name in network.command_names]]
 
 
-def _driven(network: MotionNetwork, rows: Dataset) -> tuple[NDArray, NDArray]:
+def _driven(network: MotionNetwork, rows: Dataset) -> tuple[NDArray, NDArray] | None:
     """Drive through rows that follow one another, all drives in parallel.
 
     Returns:
-        The mean's displacements, (N, 3), and its states before the rows, (N, S).
+        The mean's displacements, (N, 3), and its states before the rows, (N, S). None if rows do
+        not follow one another, or there is no drive model.
     """
-    joined, stepper, commands = rows.joined, network.stepper(), _commands(network, rows)
-    assert joined is not None
+    joined = rows.joined
+    if joined is None or network.drive is None:
+        return None
+    stepper, commands = network.stepper(), _commands(network, rows)
     starts = np.flatnonzero(~joined)
     lasts = np.diff(np.append(starts, len(joined)))
     # Each drive begins with the final speeds of the previous command.
@@ -279,8 +280,12 @@ def _driven(network: MotionNetwork, rows: Dataset) -> tuple[NDArray, NDArray]:
     calm = rows.input_array()[starts][:, [rows.inputs.index(name) for name in before]]
     calm[:, network.command_names.index("duration")] = step = min(network.longest, _CALM)
     state = network.standing(np.zeros((len(starts), 3)))
-    for _ in range(math.ceil(_CALM / step)):
-        state = stepper.step(state, calm, None)
+    slow = compiling_notice("the comparison with the recording")
+    try:
+        for _ in range(math.ceil(_CALM / step)):
+            state = stepper.step(state, calm, None)
+    finally:
+        slow.cancel()
     moved, begun = np.zeros((len(joined), 3)), np.zeros((len(joined), state.shape[1]))
     where = rows.start_array()
     for number in range(lasts.max()):
