@@ -181,7 +181,7 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
     )
     return [
         Table(
-            "Table 2: errors on held-out commands",
+            "Table 2: errors on held-out rows",
             ["", *["MSE", "mean abs. error"] * len(groups)],
             rows,
             note=" ".join(notes),
@@ -207,7 +207,7 @@ def _figures(compared: Compared, prefix: str, whose: str) -> list[Block]:
             f"{compared.what}"
         )
         svg = charts.series(
-            actual[:shown], predicted[:shown], AXES[name],
+            actual[:shown], predicted[:shown], compared.what, AXES[name],
             f"{words}; they differ by {error:.2f} {UNITS[name]} on average", f"{prefix}{name}",
         )  # fmt: skip
         caption = (

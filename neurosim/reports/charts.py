@@ -14,8 +14,10 @@ _THREE = ("predicted", "actual", "third")
 _DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)))
 
 
-def series(actual: ArrayLike, predicted: ArrayLike, axis: str, label: str, prefix: str) -> str:
-    """Draw actual and predicted values over the number of the command (Figures 3 to 5)."""
+def series(
+    actual: ArrayLike, predicted: ArrayLike, what: str, axis: str, label: str, prefix: str
+) -> str:
+    """Draw actual and predicted values over the number of the row or window (Figures 3 to 5)."""
     actual, predicted = np.asarray(actual), np.asarray(predicted)
     with drawing(7.4, 2.5) as (figure, axes):
         number = np.arange(1, len(actual) + 1)
@@ -27,7 +29,7 @@ def series(actual: ArrayLike, predicted: ArrayLike, axis: str, label: str, prefi
             number, predicted, color=INK["predicted"], lw=0.9, marker="x", ms=4.2, mew=1.3,
             label="predicted",
         )  # fmt: skip
-        axes.set_xlabel("held-out command")
+        axes.set_xlabel(f"held-out {what}")
         axes.set_ylabel(axis)
         axes.set_xlim(0, len(actual) + 1)
         axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0)

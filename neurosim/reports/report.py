@@ -220,8 +220,9 @@ def _key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     if "final_heading_error" in summary:
         degrees = np.degrees(summary["final_heading_error"])
         figures.append((f"{degrees:.1f} deg", f"heading error at the end{several}"))
-    for errors in list(summary.get("test", {}).values())[:1]:
+    for name, errors in list(summary.get("test", {}).items())[:1]:
+        tested_on = summary["tested_on"][name]
         for output, what in (("dx", "forward"), ("dy", "sideways"), ("dtheta", "angle")):
             value = f"{errors[output]['mean_absolute_error']:.3g} {UNITS[output]}"
-            figures.append((value, f"error of a held-out command, {what}"))
+            figures.append((value, f"error of held-out {tested_on}, {what}"))
     return figures
