@@ -6,10 +6,11 @@ tracker and guard, by the commands of the command line. No constant was chosen o
 their seeds were chosen at random once, before the first run: :data:`ROBOTS`.
 
 A robust plan is driven in open loop and replanned after each command; a plan that was not made
-robust in open loop; a network in closed loop. Plans are driven in the lab's bare physics, too,
-where the guard ends drives by geometry: the two may differ by chance alone. The oracle is the
-better of the robust plan and of that plan evolved on in the lab's physics itself, with the guard,
-as both drive in bare physics.
+robust in open loop; a network in closed loop. With ``--goals`` a robust plan and a network that go
+to poses in turn are driven as well. Plans around the nine rectangles are driven in the lab's bare
+physics, too, where the guard ends drives by geometry: the two may differ by chance alone. The
+oracle is the better of the robust plan and of that plan evolved on in the lab's physics itself,
+with the guard, as both drive in bare physics.
 
 Printed are the predicted probability and the fraction that completed the task, over all drives of
 a kind and in bins; the Brier skill over the base rate; and how many replanned drives completed.
@@ -40,6 +41,17 @@ from neurosim.controllers import read_controller
 ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
 #: How the commands of a recording are chosen.
 KINDS = {"guided": ["--guided"], "random": []}
+NINE = ["--task", "nine-rectangles"]
+#: The poses of ``--goals``: x (m), y (m), heading (rad).
+COURSE = {
+    "name": "go-to",
+    "settings": {
+        "begin": [-0.7, 0.0, 0.0],
+        "goals": [[-0.2, 0.3, 0.0], [0.2, -0.3, 0.0], [0.6, 0.1, 0.0]],
+        "step": 0.2,
+        "seconds": 20.0,
+    },
+}
 
 
 def main() -> None:
@@ -53,6 +65,7 @@ def main() -> None:
     parser.add_argument("--replanned", type=int, default=2, help="of each plan")
     parser.add_argument("--plain", type=int, default=0, help="drives of a plan without --robust")
     parser.add_argument("--networks", type=int, default=0, help="drives of a network, closed loop")
+    parser.add_argument("--goals", type=int, default=0, help="drives of each way to go to poses")
     parser.add_argument("--bare", type=int, default=200, help="of each plan, in bare physics")
     parser.add_argument("--show", action="store_true", help="what there is; nothing is driven")
     parser.add_argument("--json", action="store_true")
@@ -95,26 +108,38 @@ def one_simulator(options: argparse.Namespace, robot: int, kind: str) -> None:
         neurosim("train", dataset, "-o", simulator, "--seed", robot)
     for number in range(options.plans):
         seed = robot + number
-        plan = one_controller(options, folder / f"plan-{seed}", robot, seed, ["--robust"])
+        words = [*NINE, "--robust"]
+        plan = one_controller(options, folder / f"plan-{seed}", robot, seed, words)
         drives(options, plan, robot, seed, "open-loop", options.drives)
         drives(options, plan, robot, seed, "replanned", options.replanned)
     if options.plain:
-        plan = one_controller(options, folder / f"plain-{robot}", robot, robot, [])
+        plan = one_controller(options, folder / f"plain-{robot}", robot, robot, NINE)
         drives(options, plan, robot, robot, "plain", options.plain)
     if options.networks:
-        words = ["--controller", "network"]
+        words = [*NINE, "--controller", "network"]
         network = one_controller(options, folder / f"network-{robot}", robot, robot, words)
         drives(options, network, robot, robot, "network", options.networks)
+    if options.goals:
+        course = options.kept / "course.json"
+        course.write_text(json.dumps(COURSE), encoding="utf-8")
+        there = ["--task", course]
+        plan = one_controller(
+            options, folder / f"goals-plan-{robot}", robot, robot, [*there, "--robust"]
+        )
+        drives(options, plan, robot, robot, "goals-open-loop", options.goals)
+        drives(options, plan, robot, robot, "goals-replanned", options.goals)
+        words = [*there, "--controller", "network"]
+        network = one_controller(options, folder / f"goals-network-{robot}", robot, robot, words)
+        drives(options, network, robot, robot, "goals-network", options.goals)
 
 
 def one_controller(
-    options: argparse.Namespace, made: Path, robot: int, seed: int, words: list[str]
+    options: argparse.Namespace, made: Path, robot: int, seed: int, words: list
 ) -> Path:
     """Evolve a controller, and write what is predicted of it next to it."""
     simulator = made.parent / "simulator"
     if not made.exists():
-        task = ["--task", "nine-rectangles", *words]
-        neurosim("evolve", simulator, *task, "-o", made, "--seed", seed)
+        neurosim("evolve", simulator, *words, "-o", made, "--seed", seed)
     checked = made.with_name(f"{made.name}.check.json")
     if checked.exists():
         return made
@@ -127,8 +152,6 @@ def one_controller(
         if "--robust" in words:
             best = oracle(given, robot, seed)
             result["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
-    else:
-        result = {"probability": controller.predicted["probability"]}
     checked.write_text(json.dumps(result), encoding="utf-8")
     return made
 
@@ -142,7 +165,8 @@ def drives(
         if (trial / "trial.json").exists():
             continue
         shutil.rmtree(trial, ignore_errors=True)
-        words = {"replanned": ["--replan"], "network": []}.get(how, ["--no-replan"])
+        kind = how.removeprefix("goals-")
+        words = {"replanned": ["--replan"], "network": []}.get(kind, ["--no-replan"])
         words += ["--calibration", options.kept / "calibration.json", "--lab-seed", robot]
         neurosim("run", controller, *words, "-o", trial, "--seed", 100 * seed + number)
         for video in trial.glob("*.avi"):
@@ -186,12 +210,11 @@ def in_bare_physics(checked: dict) -> dict:
 def summary(drives: list[dict]) -> dict:
     """Return the summary of each way of driving, and of all drives that are not replanned."""
     results: dict = {}
-    groups = {
-        how: [row for row in drives if row["how"] == how]
-        for how in ("open-loop", "replanned", "plain", "network")
-    }
+    hows = ["open-loop", "replanned", "plain", "network"]
+    hows += [f"goals-{how}" for how in hows if how != "plain"]
+    groups = {how: [row for row in drives if row["how"] == how] for how in hows}
     # None that is replanned: its probability was predicted of the plan in open loop.
-    groups["all predicted"] = [row for row in drives if row["how"] != "replanned"]
+    groups["all predicted"] = [row for row in drives if "replanned" not in row["how"]]
     for how, chosen in groups.items():
         if not chosen:
             continue
@@ -204,7 +227,7 @@ def summary(drives: list[dict]) -> dict:
             "interval": wilson(int(done.sum()), len(done)),
             "stopped by the guard": float(np.mean([row["stopped"] for row in chosen])),
         }
-        if how != "replanned":
+        if "replanned" not in how:
             base = float(done.mean() * (1 - done.mean()))
             brier = float(((predicted - done) ** 2).mean())
             about |= {
@@ -214,7 +237,7 @@ def summary(drives: list[dict]) -> dict:
                 "bins": bins(predicted, done),
             }
         for name, title in (("bare", "in bare physics"), ("oracle", "oracle")):
-            if how != "replanned" and all(name in row for row in chosen):
+            if "replanned" not in how and all(name in row for row in chosen):
                 about[title] = float(np.mean([row[name] for row in chosen]))
         results[how] = about
         for kind in KINDS:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import files, formats
@@ -284,26 +285,17 @@ class Place(Checked):
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return whether points [..., 2] are inside the outline; without one, all are."""
-        points = np.asarray(points, float)
-        x, y = points[..., 0], points[..., 1]
-        inside = np.full(points.shape[:-1], not self.outline)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for x1, y1, x2, y2 in self._outline:
-                right = x < x1 + (y - y1) / (y2 - y1) * (x2 - x1)
-                inside ^= ((y1 > y) != (y2 > y)) & right
-        return inside
+        points, shape = _flat(points)
+        inside = np.empty(len(points), np.bool_)
+        _write_inside(self._outline, points, inside)
+        return inside.reshape(shape)
 
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return the distance of points [..., 2] from the nearest surface, m; below 0 in solids."""
-        points = np.asarray(points, float)
-        clearance = _wall_distance(self.surfaces, points)
-        if self.walls:
-            clearance *= np.where(self._in_walls(points), -1.0, 1.0)
-        for cylinder in self.cylinders:
-            middle, radius = cylinder[:2], cylinder[2]
-            clearance = np.minimum(clearance, to_segment(points, middle, middle) - radius)
-        cleared: NDArray[np.float64] = np.where(self.inside(points), clearance, -np.inf)
-        return cleared
+        points, shape = _flat(points)
+        clearance = np.empty(len(points))
+        _write_clearance(self._outline, self.surfaces, self.cylinders, points, clearance)
+        return clearance.reshape(shape)
 
     def check_start(self, pose: ArrayLike, radius: float) -> None:
         """Check that a robot fits at its start.
@@ -344,16 +336,6 @@ class Place(Checked):
         corners = np.array(self.outline, float).reshape(-1, 2)
         return np.hstack([corners, np.roll(corners, -1, axis=0)])
 
-    def _in_walls(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether points [..., 2] are within the thickness of a wall inside."""
-        within = np.zeros(points.shape[:-1], np.bool_)
-        for sides in self.surfaces[len(self.outline) :].reshape(-1, 4, 4):
-            behind = np.ones_like(within)
-            for x1, y1, x2, y2 in sides:
-                behind &= (x2 - x1) * (points[..., 1] - y1) < (y2 - y1) * (points[..., 0] - x1)
-            within |= behind
-        return within
-
     def _check_walls(self) -> None:
         if 0 < len(self.outline) < 3:
             raise UserError("an outline has at least 3 corners")
@@ -377,7 +359,7 @@ class Place(Checked):
         for index, (x, y, radius) in enumerate(self.obstacles):
             if not self.inside((x, y)):
                 raise UserError(f"obstacle {index} stands outside the outline")
-            if _wall_distance(self.surfaces, np.array([x, y])) < radius:
+            if _nearest(self.surfaces, x, y) < radius:
                 raise UserError(f"obstacle {index} overlaps a wall")
             for other, (x2, y2, radius2) in enumerate(self.obstacles[:index]):
                 if math.hypot(x - x2, y - y2) < radius + radius2:
@@ -447,12 +429,66 @@ def to_segment(points: NDArray, a: NDArray, b: NDArray) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(x * x + y * y))
 
 
-def _wall_distance(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
-    """Return the distances [...] of points [..., 2] from the nearest of walls [W, 4]."""
-    nearest = np.full(points.shape[:-1], np.inf)
-    for wall in walls:
-        nearest = np.minimum(nearest, to_segment(points, wall[:2], wall[2:]))
-    return nearest
+def _flat(points: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+    """Return points [..., 2] as [N, 2], and the shape of the other axes."""
+    given = np.asarray(points, float)
+    return np.ascontiguousarray(given.reshape(-1, 2)), given.shape[:-1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_inside(outline: NDArray, x: float, y: float) -> bool:
+    """Return whether a point is inside the sides [N, 4] of an outline; without any, it is."""
+    inside = len(outline) == 0
+    for n in range(len(outline)):
+        x1, y1, x2, y2 = outline[n]
+        if (y1 > y) != (y2 > y) and x < x1 + (y - y1) / (y2 - y1) * (x2 - x1):
+            inside = not inside
+    return inside
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _write_inside(outline: NDArray, points: NDArray, inside: NDArray) -> None:
+    for n in range(len(points)):
+        inside[n] = _is_inside(outline, points[n, 0], points[n, 1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(surfaces: NDArray, x: float, y: float) -> float:
+    """Return a point's distance from the nearest of surfaces [W, 4]."""
+    nearest = math.inf
+    for w in range(len(surfaces)):
+        x1, y1, x2, y2 = surfaces[w]
+        along_x, along_y = x2 - x1, y2 - y1
+        square = along_x * along_x + along_y * along_y
+        part = ((x - x1) * along_x + (y - y1) * along_y) / (square if square > 0.0 else 1.0)
+        part = min(max(part, 0.0), 1.0)
+        off_x, off_y = x - x1 - part * along_x, y - y1 - part * along_y
+        nearest = min(nearest, off_x * off_x + off_y * off_y)
+    return math.sqrt(nearest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _write_clearance(
+    outline: NDArray, surfaces: NDArray, cylinders: NDArray, points: NDArray, clearance: NDArray
+) -> None:
+    """Write :meth:`Place.clearance` of points [N, 2]."""
+    for n in range(len(points)):
+        x, y = points[n]
+        if not _is_inside(outline, x, y):
+            clearance[n] = -math.inf
+            continue
+        nearest = _nearest(surfaces, x, y)
+        for wall in range(len(outline), len(surfaces), 4):  # the four sides of each wall inside
+            behind = True
+            for side in range(wall, wall + 4):
+                x1, y1, x2, y2 = surfaces[side]
+                behind &= (x2 - x1) * (y - y1) < (y2 - y1) * (x - x1)
+            if behind:
+                nearest = -abs(nearest)
+        for c in range(len(cylinders)):
+            middle_x, middle_y, radius = cylinders[c]
+            nearest = min(nearest, math.hypot(x - middle_x, y - middle_y) - radius)
+        clearance[n] = nearest
 
 
 def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:

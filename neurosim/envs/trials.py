@@ -12,10 +12,10 @@ from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.envs.face import Face, Rows
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import Simulator
-from neurosim.simulators.sampling import PLACING, placed
+from neurosim.simulators.sampling import PLACING, Stepper, placed
 from neurosim.tasks.base import Interval, Task
 
-#: Number of samples drawn at once, because a call takes longer than the numbers.
+#: Number of samples, and of steps of noise, drawn at once: a call takes longer than the numbers.
 BLOCK = 16
 
 
@@ -71,6 +71,38 @@ class Samples:
         self._starts[row], self._next[row] = starts, 0
 
 
+class Noise:
+    """The noise of the present and the next step of each trial of a batch, drawn in blocks.
+
+    The numbers of a row depend on its seed and step alone, so blocks change nothing.
+    """
+
+    def __init__(self, stepper: Stepper, count: int):
+        self._stepper = stepper
+        self._seeds, self._steps = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+        self._numbers = stepper.noises(self._seeds, self._steps, BLOCK + 2)
+        self._now = 0
+
+    def begin(self, rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> NDArray:
+        """Begin rows [K] with new seeds [K]; return the noise [K, Z] of their first step."""
+        self._seeds[rows], self._steps[rows] = seeds, 0
+        count = BLOCK + 2 - self._now
+        self._numbers[rows, self._now :] = self._stepper.noises(seeds, self._steps[rows], count)
+        return self._numbers[rows, self._now]
+
+    def two(self, rows: Rows) -> NDArray:
+        """Return the noise [K, 2, Z] of rows' present step and of the next."""
+        return self._numbers[rows, self._now : self._now + 2]
+
+    def go_on(self) -> None:
+        """Advance all rows by a step."""
+        self._steps += 1
+        self._now += 1
+        if self._now > BLOCK:
+            self._numbers = self._stepper.noises(self._seeds, self._steps, BLOCK + 2)
+            self._now = 0
+
+
 class Trials:
     """B trials of a task in a simulator, which begin and end independently.
 
@@ -103,12 +135,11 @@ class Trials:
         """
         self.face = Face(simulator, task, count, observe)
         self._stepper = simulator.stepper()
-        self._noisy = noise and simulator.has_noise
+        noisy = noise and simulator.has_noise
+        self._noise = Noise(self._stepper, count) if noisy else None
         self._samples = Samples(simulator, task, count, noise, placing)
         self.state = np.zeros((count, len(simulator.state_names)))
         self._steps = np.zeros(count, np.int64)
-        self._seeds = np.zeros(count, np.uint64)
-        self._noise: NDArray | None = None
         self._readings: NDArray | None = None
         self._idle = np.nan_to_num(self.face.action_space.low, neginf=0.0)
 
@@ -128,10 +159,10 @@ class Trials:
         """Begin trials in rows [K]; ``rngs`` are the generators of all rows of the batch."""
         starts, member, seeds = self._samples.take(rows, rngs)
         self.state[rows] = self._stepper.start(starts, member)
-        self._seeds[rows], self._steps[rows] = seeds, 0
+        self._steps[rows] = 0
         self.face.begin(rows, starts)
         with one_core(len(self) < WORTH_SHARING):
-            noise = self._sampled(rows)
+            noise = None if self._noise is None else self._noise.begin(rows, seeds)
             if self.face.reads:
                 seen = self._stepper.sense(self.state[rows], noise)
                 self._readings = self._kept(self._readings, rows, seen)
@@ -160,6 +191,8 @@ class Trials:
         face, episode = self.face, self.face.episode
         before = face.judged.progress
         self._go_on(slice(None), commands, episode.step, True)
+        if self._noise is not None:
+            self._noise.go_on()
         decided = face.judged.over
         late = (self._steps >= episode.steps) & ~decided
         ended = decided | late
@@ -172,15 +205,14 @@ class Trials:
     def _go_on(
         self, rows: Rows, commands: NDArray[np.float64], duration: float, active: bool
     ) -> None:
-        noise = None if self._noise is None else self._noise[rows]
+        noises = None if self._noise is None else self._noise.two(rows)
         readings = None if self._readings is None else self._readings[rows]
         self._steps[rows] += 1
-        following = self._sampled(rows)
         if self.face.reads:
-            given = self.state[rows], commands, noise, following
-            after, seen = self._stepper.step_and_sense(*given)
+            after, seen = self._stepper.step_and_sense(self.state[rows], commands, noises)
             self._readings = self._kept(self._readings, rows, seen)
         else:
+            noise = None if noises is None else noises[:, 0]
             after = self._stepper.step(self.state[rows], commands, noise)
         self.state = self._kept(self.state, rows, after)
         poses, touching = after[:, :3], None
@@ -188,14 +220,6 @@ class Trials:
             touching = self.face.simulator.touching(poses)
         moved = Interval(poses, duration, active, True, commands, readings, touching)
         self.face.add(rows, moved)
-
-    def _sampled(self, rows: Rows) -> NDArray | None:
-        """Return the noise of the next step, if any, and keep it."""
-        if not self._noisy:
-            return None
-        noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
-        self._noise = self._kept(self._noise, rows, noise)
-        return noise
 
     def _kept(self, kept: NDArray | None, rows: Rows, new: NDArray) -> NDArray:
         if isinstance(rows, slice):

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.controllers.base import WHEELS, Controller
+from neurosim.controllers.base import WHEELS
 from neurosim.controllers.network import braitenberg
-from neurosim.loop.evaluate import Evaluator
-from neurosim.simulators.base import InPlace
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.simulators.base import InPlace, Rollouts
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 
 #: Number of arenas without evolution in them, and of drives in them. Arenas differ far more than
@@ -84,8 +84,7 @@ def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unm
     starts = elsewhere.free_poses(DRIVES, rng)
     assert starts is not None
 
-    def drive(controller: Controller, genes: NDArray) -> tuple[int, float]:
-        rollouts = Evaluator(elsewhere, task, controller).rollouts
+    def drive(rollouts: Rollouts, genes: NDArray) -> tuple[int, float]:
         draws = rollouts.draw(starts, np.random.default_rng([seed, 0xD21E]))
         driven = rollouts.run(genes[None], draws)
         assert driven.poses is not None
@@ -98,6 +97,8 @@ def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unm
 
     vehicle = None
     if tuple(own.command_names) == (*WHEELS, "duration"):
-        vehicle = drive(*braitenberg(own.reading_names, own.bearings))[0]
-    each = (drive(evaluator.controller, one) for one in genes)  # one at a time, because of memory
+        controller, weights = braitenberg(own.reading_names, own.bearings)
+        vehicle = drive(rollouts_of(elsewhere, controller, task.episode), weights)[0]
+    rollouts = rollouts_of(elsewhere, evaluator.controller, task.episode)
+    each = (drive(rollouts, one) for one in genes)  # one at a time, because of memory
     return [Unmet(DRIVES, touched, fitness, vehicle) for touched, fitness in each]

@@ -367,21 +367,10 @@ class CompiledStepper(Stepper):
         return self._drive(pilot, state, None if noise is None else noise[:, None])[1]
 
     def step_and_sense(
-        self,
-        state: NDArray[np.float64],
-        command: NDArray[np.float64],
-        noise: NDArray | None,
-        after: NDArray | None,
+        self, state: NDArray[np.float64], command: NDArray[np.float64], noises: NDArray | None
     ) -> tuple[NDArray[np.float64], NDArray]:
-        """Return the states [B, S] after commands [B, C], and their readings [B, R], float32.
-
-        Args:
-            state, command, noise: as in :meth:`step`.
-            after: the noise of the next step, which is also that of the readings; None if ``noise``
-                is None.
-        """
-        z = None if noise is None or after is None else np.stack([noise, after], axis=1)
-        return self._after(state, command, z, 2)
+        """Return the states [B, S] after commands [B, C], and their readings [B, R], float32."""
+        return self._after(state, command, noises, 2)
 
     def _after(
         self,

@@ -35,18 +35,25 @@ class Stepper:
         return self.simulator.standing(poses, member)
 
     def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
-        """Return the noise of a step for :meth:`step` and :meth:`sense`.
+        """Return the noise [B, Z] of steps [B] for :meth:`step` and :meth:`sense`."""
+        return self.noises(seeds, steps, 1)[:, 0]
+
+    def noises(self, seeds: NDArray[np.uint64], first: NDArray[np.int64], count: int) -> NDArray:
+        """Return the noise of successive steps.
 
         Args:
             seeds: [B] of the rows' samples.
-            steps: [B] the number of the step in each row.
+            first: [B] the number of the first of these steps in each row.
+            count: number of steps.
 
         Returns:
-            Numbers [B, noise_width]; or a seed for each row [B, 1], if the simulator draws its
-            noise itself.
+            Numbers [B, count, noise_width]; or a seed for each row and step [B, count, 1], if the
+            simulator draws its noise itself.
         """
-        numbers = self.simulator.noise_of(seeds, 1, steps)
-        return words(seeds, steps)[:, None] if numbers is None else numbers[:, 0]
+        numbers = self.simulator.noise_of(seeds, count, first)
+        if numbers is None:
+            numbers = np.stack([words(seeds, first + k)[:, None] for k in range(count)], axis=1)
+        return numbers
 
     def step(
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
@@ -59,19 +66,17 @@ class Stepper:
         return self._ask(self.simulator.sense, noise, state)
 
     def step_and_sense(
-        self,
-        state: NDArray[np.float64],
-        command: NDArray[np.float64],
-        noise: NDArray | None,
-        after: NDArray | None,
+        self, state: NDArray[np.float64], command: NDArray[np.float64], noises: NDArray | None
     ) -> tuple[NDArray[np.float64], NDArray]:
         """Return the states [B, S] after commands [B, C], and their readings [B, R].
 
         Args:
-            state, command, noise: as in :meth:`step`.
-            after: the noise of the next step, which is also that of the readings.
+            state, command: as in :meth:`step`.
+            noises: [B, 2, Z] of :meth:`noises`: of this step and the next, which is also that of
+                the readings; or None.
         """
-        state = self.step(state, command, noise)
+        now, after = (None, None) if noises is None else (noises[:, 0], noises[:, 1])
+        state = self.step(state, command, now)
         return state, self.sense(state, after)
 
     def _ask(self, what: Any, noise: NDArray | None, *given: NDArray) -> NDArray:
