@@ -75,17 +75,20 @@ class Noise:
     """The noise of the present and the next step of each trial of a batch, drawn in blocks.
 
     The numbers of a row depend on its seed and step alone, so blocks change nothing.
+
+    Attributes:
+        seeds: [B] of the present trials.
     """
 
     def __init__(self, stepper: Stepper, count: int):
         self._stepper = stepper
-        self._seeds, self._steps = np.zeros(count, np.uint64), np.zeros(count, np.int64)
-        self._numbers = stepper.noises(self._seeds, self._steps, BLOCK + 2)
+        self.seeds, self._steps = np.zeros(count, np.uint64), np.zeros(count, np.int64)
+        self._numbers = stepper.noises(self.seeds, self._steps, BLOCK + 2)
         self._now = 0
 
     def begin(self, rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> NDArray:
         """Begin rows [K] with new seeds [K]; return the noise [K, Z] of their first step."""
-        self._seeds[rows], self._steps[rows] = seeds, 0
+        self.seeds[rows], self._steps[rows] = seeds, 0
         count = BLOCK + 2 - self._now
         self._numbers[rows, self._now :] = self._stepper.noises(seeds, self._steps[rows], count)
         return self._numbers[rows, self._now]
@@ -99,7 +102,7 @@ class Noise:
         self._steps += 1
         self._now += 1
         if self._now > BLOCK:
-            self._numbers = self._stepper.noises(self._seeds, self._steps, BLOCK + 2)
+            self._numbers = self._stepper.noises(self.seeds, self._steps, BLOCK + 2)
             self._now = 0
 
 

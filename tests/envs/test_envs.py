@@ -144,7 +144,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     seen, _ = env.reset(seed=4)
     trials, steps, total, over = env.trials, 0, 0.0, False
     begun = trials.face.judged.progress[0]
-    starts, seeds = trials.poses.copy(), trials._seeds.copy()
+    starts = trials.poses.copy()
     member = np.array([int(trials.state[0, -1])]) if simulator.members > 1 else None
     poses = [starts[0]]
     while not over:
@@ -154,7 +154,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
         poses.append(trials.poses[0].copy())
     numbers = None
     if noise and simulator.has_noise:
-        stepper, whole = simulator.stepper(), evaluator.steps
+        stepper, whole, seeds = simulator.stepper(), evaluator.steps, trials._noise.seeds
         numbers = [stepper.noise(seeds, np.full(1, step)) for step in range(whole)]
         numbers = np.stack(numbers, axis=1).astype(np.float64)
     judged, trajectory = evaluator.judge(np.zeros((1, 0)), Draws(starts, member, numbers))
