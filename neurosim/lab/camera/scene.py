@@ -265,7 +265,7 @@ def paint_robot(
     height, width = plane.shape[:2]
     size = noise.shape[0]
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    still = len(poses) == 1
+    still, plain = len(poses) == 1, lamp == 0.0 and len(cells) == 0
     for v in range(window[2], window[3]):
         v0 = min(max(v, 1), height - 2)
         for u in range(window[0], window[1]):
@@ -288,6 +288,16 @@ def paint_robot(
                     red += weights[k] * under[2]
                     continue
                 touched = True
+                if plain and _is_beside(x, y, 2.0 * breadth):
+                    blue += weights[k] * under[0]
+                    green += weights[k] * under[1]
+                    red += weights[k] * under[2]
+                    continue
+                if plain and _is_bare(x, y, 2.0 * breadth):
+                    blue += weights[k] * lit * _BODY_COLOUR[0]
+                    green += weights[k] * lit * _BODY_COLOUR[1]
+                    red += weights[k] * lit * _BODY_COLOUR[2]
+                    continue
                 # The pixel's sides in the robot frame, a quarter of each.
                 ax, ay = 0.25 * (cos[k] * ux + sin[k] * uy), 0.25 * (cos[k] * uy - sin[k] * ux)
                 bx, by = 0.25 * (cos[k] * vx + sin[k] * vy), 0.25 * (cos[k] * vy - sin[k] * vx)
@@ -312,6 +322,28 @@ def paint_robot(
 @_painted
 def _near_body(x, y, margin):
     return -0.13 - margin < x < 0.11 + margin and abs(y) < 0.105 + margin
+
+
+@_painted
+def _within(x, y, box, margin):
+    return box[0] - margin < x < box[1] + margin and box[2] - margin < y < box[3] + margin
+
+
+@_painted
+def _is_beside(x, y, margin):
+    """Return whether there is only ground around a point of the robot frame."""
+    at_side = _within(x, abs(y), _WHEEL, margin) or _within(x, y, _SENSOR_ARM, margin)
+    return not (at_side or _within(x, y, _BODY, margin))
+
+
+@_painted
+def _is_bare(x, y, margin):
+    """Return whether there is only the body around a point: no edge, marker or lamp."""
+    front = (x - FRONT_MARKER[0]) ** 2 + (y - FRONT_MARKER[1]) ** 2
+    rear = (x - REAR_MARKER[0]) ** 2 + (y - REAR_MARKER[1]) ** 2
+    lamp = (x - LAMP[0]) ** 2 + (y - LAMP[1]) ** 2
+    apart = min(front, rear) > (0.5 * MARKER_DIAMETER + margin) ** 2
+    return apart and lamp > (LAMP_RADIUS + margin) ** 2 and _within(x, y, _BODY, -margin)
 
 
 @_painted
