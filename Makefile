@@ -8,6 +8,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
+# Processes that run tests: three keep two cores busy, because many tests wait for others.
+WORKERS ?= 3
+
 # Without stored bytecode, each worker and each process that a test starts compiles all sources.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -20,7 +23,7 @@ test: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(TIER) $(PYTEST_ARGS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(TIER) $(PYTEST_ARGS)
 
 test-fast: TIER = -m "not slow"
 test-fast: test
