@@ -39,11 +39,11 @@ def test(artefacts: Artefacts) -> dict[int, HeldOut]:
 
 
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
-    """Write the section on the simulators' predictions of single commands."""
+    """Write the section on the simulators' predictions of held-out rows."""
     blocks: list[Block] = []
     learned = _learned(artefacts)
     if not learned:
-        blocks.append(_missing("how well single commands are predicted", "a simulator"))
+        blocks.append(_missing("how well held-out rows are predicted", "a simulator"))
     else:
         blocks += _table(artefacts, tests)
         for place, simulator in learned:
@@ -57,7 +57,7 @@ def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
                     "the dataset that the simulator was trained on",
                 )
             )
-    return Section("accuracy", "How well single commands are predicted", blocks)
+    return Section("accuracy", "How well held-out rows are predicted", blocks)
 
 
 def learning(artefacts: Artefacts) -> Section | None:

@@ -39,10 +39,8 @@ def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, 
 
 
 def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> HeldOut:
-    """Predict the commands of a dataset that a simulator was not trained on."""
-    network = simulator.content
+    """Predict rows of a dataset that a simulator was not trained on."""
     seen, rows = dataset, dataset
-    how = f"all {len(rows)} commands of another dataset than the one it was trained on"
     if trained_on_it:
         fraction = simulator.meta.get("training", {}).get("held_out")
         if fraction is None or not 0 < fraction < 1:
@@ -50,8 +48,9 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
                 simulator.json, "expected a fraction of the dataset", field="training.held_out"
             )
         seen, rows = dataset.split(fraction)
-        how = f"the last {fraction:.0%} of its dataset in time, {len(rows)} commands"
-    compared = compare(network, seen, rows)
-    if compared.window is not None:
-        how += f", in {compared.what}"
+    compared = compare(simulator.content, seen, rows)
+    many = f"{len(compared.actual)} {compared.what}"
+    how = f"all {many} of another dataset than the one it was trained on"
+    if trained_on_it:
+        how = f"the last {fraction:.0%} of its dataset in time, {many}"
     return HeldOut(compared, how)
