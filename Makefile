@@ -1,6 +1,6 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
-# make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
+# make test-extras: the peers that benchmarks measure beside ours, the libraries of examples/, and notebooks.
 # make dist: a wheel, which needs no clone, and the versions it is tested with.  make docs: the site, in site/.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
@@ -28,9 +28,9 @@ test: .venv/installed-dev
 test-fast: TIER = -m "not slow"
 test-fast: test
 
-# What benchmarks/ and examples/ use, Ray and onnxruntime, which are large: 3.5 GB in all.
+# What benchmarks/ and examples/ use, Ray and onnxruntime, which are large: 3.5 GB in all. Notebooks run, too.
 test-extras: .venv/installed-extras
-	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
+	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras tests/notebooks $(PYTEST_ARGS)
 
 dist: .venv/installed-dev
 	rm -rf dist

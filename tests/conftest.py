@@ -42,10 +42,9 @@ def pytest_collection_modifyitems(items):
         if SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
     # All tests of a file run in one worker. Slow files come first; no worker waits at the end.
-    # One worker runs all stages, which other tests need; another one runs the notebooks meanwhile.
-    first = ("test_pipeline.py", "test_notebooks.py")
+    # One worker runs all stages first, whose compiled functions other tests need.
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path.name not in first, item.path not in slow))
+    items.sort(key=lambda item: (item.path.name != "test_pipeline.py", item.path not in slow))
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import re
 from pathlib import Path
 
@@ -115,7 +116,9 @@ def test_a_picture_is_stored_smaller():
         assert np.abs(shown.astype(float) - picture[..., ::-1]).mean() < 12
 
 
-@pytest.mark.slow
+@pytest.mark.skipif(
+    not os.environ.get("NEUROSIM_EXTRAS"), reason="run by make test-extras: notebooks take minutes"
+)
 @by_name
 def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     pytest.importorskip("ipykernel", reason="pip install 'neurosim[notebooks]'")

@@ -288,7 +288,7 @@ def paint_robot(
                     red += weights[k] * under[2]
                     continue
                 touched = True
-                if plain and _is_beside(x, y, 2.0 * breadth):
+                if plain and _is_ground(x, y, 2.0 * breadth):
                     blue += weights[k] * under[0]
                     green += weights[k] * under[1]
                     red += weights[k] * under[2]
@@ -330,7 +330,7 @@ def _within(x, y, box, margin):
 
 
 @_painted
-def _is_beside(x, y, margin):
+def _is_ground(x, y, margin):
     """Return whether there is only ground around a point of the robot frame."""
     at_side = _within(x, abs(y), _WHEEL, margin) or _within(x, y, _SENSOR_ARM, margin)
     return not (at_side or _within(x, y, _BODY, margin))
