@@ -1,22 +1,26 @@
 """Compiles the functions that a demo needs later, while it records: runs all stages once, in small.
 
-It runs in another process, ``python -m neurosim.cli._ahead DEMO``. It ends with the process that
-started it, because its standard input is then closed.
+It runs in another process, ``python -m neurosim.cli._ahead``, which prints a line when the
+functions of evolution are compiled. It ends with the process that started it, because its standard
+input is then closed.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import tempfile
 import threading
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from neurosim.base.compiled import compiled_ahead
-from tracking.datasets.recordings import Recording
+
+#: Number of commands that are learned from, a few more than the least.
+COMMANDS = 30
 
 
 def _end_with_parent() -> None:
@@ -30,14 +34,14 @@ def _run(*words: object) -> None:
     cli.main([str(word) for word in words], standalone_mode=False)
 
 
-def _is_whole(folder: Path) -> bool:
-    """Return whether a recording is complete and tracked; its poses are written last."""
-    return (folder / "poses.csv").exists() and bool(Recording(folder).meta["complete"])
+def main(evolved: Callable[[], None]) -> None:
+    """Run the stages of a demo on a few commands.
 
-
-def main(out: Path) -> None:
-    """Run the stages of a demo on the first round of its recording, as soon as it exists."""
+    Args:
+        evolved: called when the functions of evolution are compiled.
+    """
     from neurosim.controllers import make_controller, read_controller
+    from neurosim.lab import VirtualRig
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
@@ -47,14 +51,16 @@ def main(out: Path) -> None:
         folder = Path(name)
         dataset, simulator, controller = (folder / n for n in ("dataset", "simulator", "plan"))
         compile_loops()
-        _run("record", folder / "recording", "--commands", 1)
-        round_1 = out / "recording" / "round-01"
-        while not _is_whole(round_1):
-            time.sleep(0.5)
-        _run("dataset", round_1, "-o", dataset)
+        camera = folder / "calibration.json"
+        with VirtualRig(0) as rig:
+            rig.camera.optics.calibration.write(camera)
+        words = ["record", folder / "recording", "--commands", COMMANDS, "--fps", 10]
+        _run(*words, "--calibration", camera)
+        _run("dataset", folder / "recording", "-o", dataset)
         _run("train", dataset, "-o", simulator)
         evolve = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
         _run(*evolve, "--generations", 2, "--robust-generations", 2, "--final-draws", 64)
+        evolved()
         _run("plan-check", controller, simulator, "--draws", 64)
         saved, model = read_controller(controller), read_simulator(simulator)
         task = make_task(saved.task)
@@ -68,4 +74,5 @@ if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):  # first the functions that the demo needs next
         os.nice(5)
-    main(Path(sys.argv[1]))
+    told, sys.stdout = sys.stdout, io.StringIO()  # not what commands print
+    main(lambda: print("evolution", file=told, flush=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,7 +46,7 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     if out.exists() and not out.is_dir():
         raise UserError(f"{out} is a file; name a folder")
     commands, seed = _settings(out, commands, seed)
-    with _compiling(out) as compiled:
+    with _compiling() as compiled:
         for words in _steps(out, commands, seed):
             text = [str(word) for word in words]
             if words[0] == "evolve":
@@ -58,7 +59,7 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
 
 
 @contextmanager
-def _compiling(out: Path) -> Iterator[Callable[[], None]]:
+def _compiling() -> Iterator[Callable[[], None]]:
     """Compile the functions of evolution in another process, if that was not done yet.
 
     Give a function that waits for it.
@@ -73,17 +74,26 @@ def _compiling(out: Path) -> Iterator[Callable[[], None]]:
     )
     # It ends when its input is closed, however this process ends.
     process = subprocess.Popen(
-        [sys.executable, "-m", "neurosim.cli._ahead", str(out.absolute())],
+        [sys.executable, "-m", "neurosim.cli._ahead"],
         stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
 
-    def wait() -> None:
-        if process.poll() is None:
-            click.echo("Waiting until the loops of evolution are compiled.", err=True)
-            process.wait()
+    done = threading.Event()
 
+    def listen() -> None:
+        assert process.stdout is not None
+        process.stdout.readline()  # or its end
+        done.set()
+
+    def wait() -> None:
+        if not done.is_set():
+            click.echo("Waiting until the loops of evolution are compiled.", err=True)
+            while not done.wait(1.0):  # in parts, so that Ctrl-C is seen on Windows
+                pass
+
+    threading.Thread(target=listen, daemon=True).start()
     try:
         yield wait
     finally:

@@ -1,26 +1,40 @@
 """The demo compiles functions ahead of their use, in another process."""
 
-import shutil
 import subprocess
 import sys
 
+import pytest
 from patience import PATIENCE
 
 from neurosim.cli import _ahead
 
 
-def test_the_stages_are_done_on_the_first_round(pipeline, tmp_path, monkeypatch):
-    shutil.copytree(pipeline / "recording", tmp_path / "recording" / "round-01")
-    marker = tmp_path / "compiled"
+@pytest.mark.slow
+def test_the_stages_are_done_on_a_few_commands(tmp_path, monkeypatch):
+    marker, told = tmp_path / "compiled", []
     monkeypatch.setattr(_ahead, "compiled_ahead", lambda: marker)
-    _ahead.main(tmp_path)
+    _ahead.main(lambda: told.append(marker.exists()))
+    assert told == [False]
     assert marker.exists()
 
 
-def test_it_ends_with_the_demo_that_started_it(tmp_path):
+@pytest.mark.slow
+def test_it_tells_the_demo_when_evolution_can_begin():
+    with subprocess.Popen(
+        [sys.executable, "-m", "neurosim.cli._ahead"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "evolution\n"
+        process.stdin.close()
+
+
+def test_it_ends_with_the_demo_that_started_it():
     process = subprocess.Popen(
-        [sys.executable, "-m", "neurosim.cli._ahead", str(tmp_path)], stdin=subprocess.PIPE
+        [sys.executable, "-m", "neurosim.cli._ahead"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
     )
     process.stdin.close()
-    # It would wait for a recording that nobody makes.
     assert process.wait(timeout=PATIENCE) == 1
