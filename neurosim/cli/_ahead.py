@@ -74,5 +74,5 @@ if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):  # first the functions that the demo needs next
         os.nice(5)
-    told, sys.stdout = sys.stdout, io.StringIO()  # not what commands print
-    main(lambda: print("evolution", file=told, flush=True))
+    output, sys.stdout = sys.stdout, io.StringIO()  # not what commands print
+    main(lambda: print("evolution", file=output, flush=True))

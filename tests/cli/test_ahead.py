@@ -11,10 +11,10 @@ from neurosim.cli import _ahead
 
 @pytest.mark.slow
 def test_the_stages_are_done_on_a_few_commands(tmp_path, monkeypatch):
-    marker, told = tmp_path / "compiled", []
+    marker, there = tmp_path / "compiled", []
     monkeypatch.setattr(_ahead, "compiled_ahead", lambda: marker)
-    _ahead.main(lambda: told.append(marker.exists()))
-    assert told == [False]
+    _ahead.main(lambda: there.append(marker.exists()))
+    assert there == [False]
     assert marker.exists()
 
 
