@@ -44,6 +44,8 @@ KINDS = {"guided": ["--guided"], "random": []}
 NINE = ["--task", "nine-rectangles"]
 #: The poses of ``--goals``: x (m), y (m), heading (rad).
 COURSE = {
+    "format": "neurosim-task",
+    "version": 1,
     "name": "go-to",
     "settings": {
         "begin": [-0.7, 0.0, 0.0],
