@@ -146,8 +146,10 @@ def one_controller(
     if checked.exists():
         return made
     controller = read_controller(made)
+    result = {"probability": controller.predicted["probability"]}
     if controller.controller.open_loop:
         result = neurosim("plan-check", made, simulator, "--seed", seed, "--json")
+    if controller.controller.open_loop and NINE[1] in words:
         given = [tuple(c) for c in controller.commands if c is not None]
         result["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
         result["bare_drives"] = options.bare
