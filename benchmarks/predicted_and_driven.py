@@ -34,18 +34,18 @@ from types import SimpleNamespace
 import numpy as np
 from robust_plans import bound, drive
 
+from neurosim.base.files import write_json
 from neurosim.base.statistics import wilson
 from neurosim.controllers import read_controller
+from neurosim.tasks.files import FORMAT, VERSION
 
 #: Seeds of the lab's robots: from numpy.random.default_rng(20261124).integers(1000, 10000).
 ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
 #: How the commands of a recording are chosen.
 KINDS = {"guided": ["--guided"], "random": []}
 NINE = ["--task", "nine-rectangles"]
-#: The poses of ``--goals``: x (m), y (m), heading (rad).
+#: The task of ``--goals``; poses are x (m), y (m), heading (rad).
 COURSE = {
-    "format": "neurosim-task",
-    "version": 1,
     "name": "go-to",
     "settings": {
         "begin": [-0.7, 0.0, 0.0],
@@ -123,7 +123,7 @@ def one_simulator(options: argparse.Namespace, robot: int, kind: str) -> None:
         drives(options, network, robot, robot, "network", options.networks)
     if options.goals:
         course = options.kept / "course.json"
-        course.write_text(json.dumps(COURSE), encoding="utf-8")
+        write_json(course, FORMAT, VERSION, COURSE)
         there = ["--task", course]
         plan = one_controller(
             options, folder / f"goals-plan-{robot}", robot, robot, [*there, "--robust"]
