@@ -258,7 +258,8 @@ class Replanner:
         seed = int(self._rng.integers(2**31))
         settings = EvolveSettings(genetic=how.genetic)
         optimiser = new_optimiser(self._plan, settings, seed, self._first()[None])
-        uncertain = self._simulator.uncertain
+        # A robot that is measured just inside the tolerance may be outside it.
+        uncertain = self._simulator.uncertain or any(how.placing)
         search = Search(
             onward,
             optimiser,
