@@ -7,21 +7,25 @@ poses at both ends of a command, which remains while a robot stands.
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import torch
+from numba import njit
 from numpy.polynomial.hermite_e import hermegauss
 from torch import Tensor
 
 from neurosim.base.threads import one_thread
 from neurosim.simulators.motion.noise import (
+    HEAVIEST,
     SCALE_FEATURES,
     TAIL_FEATURES,
+    TINY,
     CommandFeatures,
     NoiseModel,
-    cholesky,
+    arcs,
     components,
     features,
-    heaviness,
-    in_motion,
     residual,
 )
 from neurosim.training.base import minimise, root_mean_square
@@ -44,7 +48,7 @@ BEGIN = (
 )
 
 #: Nodes and weights of Gauss-Hermite quadrature over a standard normal number.
-_PLACES, _WEIGHTS = (torch.from_numpy(part) for part in hermegauss(11))
+_PLACES, _WEIGHTS = hermegauss(11)
 
 #: Degrees of freedom of the errors of windows, and half widths of 80 % intervals of a standard
 #: normal number and of Student's t.
@@ -77,47 +81,146 @@ def fit_noise(
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = weight.sum()
-    w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
+    w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64)
     h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
     h[0] = SLIGHT
-    h.requires_grad_()
-    u = torch.tensor(BEGIN, dtype=torch.float64, requires_grad=True)
-    log_weights = (_WEIGHTS / _WEIGHTS.sum()).log()
+    u = torch.tensor(BEGIN, dtype=torch.float64)
+    searched, slopes = (w, h, u), tuple(torch.zeros_like(part) for part in (w, h, u))
+    arc, jacobian = arcs(unit, mean)
+    jacobian = jacobian * size / size.unsqueeze(1)
+    given = (scale, tail, arc, jacobian, error, FINEST / size, weight, *searched, *slopes)
+    arrays = [part.contiguous().numpy() for part in given]
 
     def loss() -> Tensor:
-        w.grad = h.grad = u.grad = None
-        width = heaviness(tail, h).unsqueeze(1) * _PLACES  # [N, places]
-        log_s = (w @ scale.T).unsqueeze(2) + width  # [3, N, places]
-        moving = in_motion(unit, u * size.unsqueeze(-1), mean)
-        moving = (moving / torch.outer(size, size)).unsqueeze(1)
-        lower = cholesky(moving, (2.0 * log_s).exp().unbind(0))
-        z: list[Tensor] = []
-        power, log_size = torch.zeros(()), torch.zeros(())
-        for k, row in enumerate(lower):
-            explained = sum(
-                (part * one for part, one in zip(row[:-1], z, strict=True)), torch.zeros(())
-            )
-            z.append((error[:, k : k + 1] - explained) / row[-1])
-            # The resolution limits the likelihood of a residual.
-            power = power + z[-1].square() + (FINEST / size[k] / row[-1]).square()
-            log_size = log_size + row[-1].log()
-        likelihood = (log_weights - power / 2.0 - log_size).logsumexp(-1)
-        pull = w[:, 1:].square().sum() + (h[0] - SLIGHT).square() + h[1:].square().sum()
-        value = -(weight * likelihood).sum() / rows
-        value = value + PULL * (pull + u.square().sum()) / (2 * rows)
-        value.backward()
-        return value
+        value = -_log_likelihood(_PLACES, _WEIGHTS, *arrays)
+        pulled = w.clone(), h.clone(), u
+        pulled[0][:, 0] = 0.0
+        pulled[1][0] -= SLIGHT
+        for part, slope, off in zip(searched, slopes, pulled, strict=True):
+            part.grad = (PULL * off - slope) / rows
+            value += PULL * float(off.square().sum()) / 2.0
+        return value / rows
 
     with one_thread():
         minimise([w, h, u], loss, steps=150)
-    w = w.detach()
     w[:, 0] += size.log()
-    return NoiseModel(
-        unit=unit,
-        log_scale=w,
-        tail=h.detach(),
-        sources=u.detach() * size.unsqueeze(-1),
-    )
+    return NoiseModel(unit=unit, log_scale=w, tail=h, sources=u * size.unsqueeze(-1))
+
+
+@njit(error_model="numpy", cache=True)
+def _log_likelihood(
+    places, weights, scale, tail, arc, jacobian, error, finest, weight, w, h, u, of_w, of_h, of_u
+):
+    """Return the log-likelihood of residuals, and write its derivatives.
+
+    The Cholesky factor has the rows (a), (b, e), (d, f, g), as in
+    :func:`neurosim.simulators.motion.noise.cholesky`; its derivatives follow backwards (Smith 1995,
+    Differentiation of the Cholesky algorithm).
+
+    Args:
+        places, weights: Gauss-Hermite quadrature of g.
+        scale: features of ln s, [N, S].
+        tail: features of ln tau, [N, T].
+        arc: twists m, [N, 3].
+        jacobian: J for residuals that are divided by their sizes, [N, 3, 3].
+        error: residuals divided by their sizes, [N, 3].
+        finest: resolution of the residuals, which limits the likelihood, [3].
+        weight: of the rows, [N].
+        w, h, u: the coefficients of ln s [3, S] and ln tau [T], and the sources [K, 3, 3].
+        of_w, of_h, of_u: the derivatives by them, written.
+    """
+    of_w[:], of_h[:], of_u[:], likelihood = 0.0, 0.0, 0.0, 0.0
+    count, sources = len(places), len(u)
+    each, share, larger = np.empty(count), np.empty(count), np.empty(count)
+    of_variance, moved = np.empty((count, 6)), np.empty((sources, 3))
+    fixed, of_moved, of_twist = np.empty(6), np.empty(3), np.empty(3)
+    variance, of_log_s = np.empty(3), np.empty(3)
+    total = math.log(weights.sum())
+    for n in range(len(error)):
+        for c in range(3):
+            log_s = 0.0
+            for j in range(scale.shape[1]):
+                log_s += w[c, j] * scale[n, j]
+            variance[c] = math.exp(2.0 * log_s)
+        log_tau = 0.0
+        for j in range(tail.shape[1]):
+            log_tau += h[j] * tail[n, j]
+        tau = min(math.exp(log_tau), HEAVIEST)
+        fixed[:] = 0.0
+        for k in range(sources):
+            for c in range(3):
+                of_twist[c] = 0.0
+                for b in range(3):
+                    of_twist[c] += u[k, c, b] * arc[n, b]
+            place = 0
+            for c in range(3):
+                moved[k, c] = 0.0
+                for b in range(3):
+                    moved[k, c] += jacobian[n, c, b] * of_twist[b]
+                for b in range(c + 1):
+                    fixed[place] += moved[k, c] * moved[k, b]
+                    place += 1
+        best = -math.inf
+        for p in range(count):
+            larger[p] = math.exp(2.0 * tau * places[p])
+            a = math.sqrt(max(fixed[0] + variance[0] * larger[p], TINY))
+            b, d = fixed[1] / a, fixed[3] / a
+            e = math.sqrt(max(fixed[2] + variance[1] * larger[p] - b * b, TINY))
+            f = (fixed[4] - d * b) / e
+            g = math.sqrt(max(fixed[5] + variance[2] * larger[p] - d * d - f * f, TINY))
+            z0 = error[n, 0] / a
+            z1 = (error[n, 1] - b * z0) / e
+            z2 = (error[n, 2] - d * z0 - f * z1) / g
+            r0, r1, r2 = finest[0] / a, finest[1] / e, finest[2] / g
+            power = z0 * z0 + z1 * z1 + z2 * z2 + r0 * r0 + r1 * r1 + r2 * r2
+            each[p] = math.log(weights[p]) - total - power / 2.0 - math.log(a * e * g)
+            best = max(best, each[p])
+            # Derivatives by z, then by the factor, then by the covariance.
+            of_z1 = -z1 + z2 * f / g
+            of_z0 = -z0 + z2 * d / g - of_z1 * b / e
+            of_g = (r2 * r2 - 1.0 + z2 * z2) / g
+            of_f = z2 * z1 / g - of_g * f / g
+            of_d = z2 * z0 / g - of_g * d / g - of_f * b / e
+            of_e = (r1 * r1 - 1.0 - of_z1 * z1 - of_f * f) / e
+            of_b = -of_z1 * z0 / e - of_f * d / e - of_e * b / e
+            of_a = (r0 * r0 - 1.0 - of_z0 * z0 - of_d * d - of_b * b) / a
+            of_variance[p, 0], of_variance[p, 1] = of_a / (2.0 * a), of_b / a
+            of_variance[p, 2], of_variance[p, 3] = of_e / (2.0 * e), of_d / a
+            of_variance[p, 4], of_variance[p, 5] = of_f / e, of_g / (2.0 * g)
+        mixed = 0.0
+        for p in range(count):
+            share[p] = math.exp(each[p] - best)
+            mixed += share[p]
+        likelihood += weight[n] * (best + math.log(mixed))
+        fixed[:], of_log_s[:], of_tau = 0.0, 0.0, 0.0
+        for p in range(count):
+            part = weight[n] * share[p] / mixed
+            for c in range(6):
+                fixed[c] += part * of_variance[p, c]
+            for c in range(3):
+                by = 2.0 * part * of_variance[p, c * (c + 3) // 2] * variance[c] * larger[p]
+                of_tau += by * places[p]
+                of_log_s[c] += by
+        for c in range(3):
+            for j in range(scale.shape[1]):
+                of_w[c, j] += of_log_s[c] * scale[n, j]
+        if tau < HEAVIEST:
+            for j in range(tail.shape[1]):
+                of_h[j] += of_tau * tau * tail[n, j]
+        for k in range(sources):
+            of_moved[:], place = 0.0, 0
+            for c in range(3):
+                for b in range(c + 1):
+                    of_moved[c] += fixed[place] * moved[k, b]
+                    of_moved[b] += fixed[place] * moved[k, c]
+                    place += 1
+            for c in range(3):
+                by = 0.0
+                for b in range(3):
+                    by += jacobian[n, b, c] * of_moved[b]
+                for b in range(3):
+                    of_u[k, c, b] += by * arc[n, b]
+    return likelihood
 
 
 def fit_spread(

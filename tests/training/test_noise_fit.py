@@ -1,10 +1,13 @@
 """The learned noise, compared with the known noise of the rows."""
 
+import math
+
 import pytest
 import torch
 
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.noise import (
+    HEAVIEST,
     SCALE_FEATURES,
     CommandFeatures,
     NoiseModel,
@@ -13,7 +16,7 @@ from neurosim.simulators.motion.noise import (
     heaviness,
     in_motion,
 )
-from neurosim.training.noise import fit_noise, fit_spread
+from neurosim.training.noise import _log_likelihood, fit_noise, fit_spread
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -80,6 +83,41 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     wider = [(size[rest].log().mean(0) - size[~rest].log().mean(0)).exp() for size in sizes]
     assert wider[0].min() > 2.5
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
+
+
+def test_the_likelihood_and_its_derivatives_are_those_of_a_mixture_of_normal_distributions():
+    generator = torch.Generator().manual_seed(3)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    rows, places = 40, torch.tensor([-1.7, 0.0, 1.7], dtype=torch.float64)
+    shares = torch.tensor([1.0, 4.0, 1.0], dtype=torch.float64)
+    scale, tail, arc, jacobian = (
+        normal(rows, 5),
+        normal(rows, 3),
+        normal(rows, 3),
+        normal(rows, 3, 3),
+    )
+    error, weight = normal(rows, 3), normal(rows).abs()
+    searched = [0.3 * normal(3, 5), 0.5 * normal(3), 0.4 * normal(3, 3, 3)]
+    w, h, u = (part.clone().requires_grad_() for part in searched)
+    log_s = (scale @ w.T)[:, None] + heaviness(tail, h)[:, None, None] * places[:, None]
+    moved = torch.einsum("nac,kcb,nb->nka", jacobian, u, arc)
+    covariance = torch.diag_embed((2.0 * log_s).exp()) + (moved.mT @ moved)[:, None]
+    each = torch.distributions.MultivariateNormal(torch.zeros(3).double(), covariance)
+    mixed = (each.log_prob(error[:, None]) + (shares / shares.sum()).log()).logsumexp(1)
+    expected = (weight * mixed).sum()
+    expected.backward()
+    assert (heaviness(tail, h) == HEAVIEST).any()
+
+    slopes = [torch.full_like(part, 9.0) for part in searched]
+    given = (places, shares, scale, tail, arc, jacobian, error, torch.zeros(3).double(), weight)
+    value = _log_likelihood(*(part.numpy() for part in (*given, *searched, *slopes)))
+    constant = 1.5 * math.log(2.0 * math.pi) * weight.sum()
+    assert value == pytest.approx(float(expected.detach() + constant), rel=1e-9)
+    for slope, searched_part in zip(slopes, (w, h, u), strict=True):
+        torch.testing.assert_close(slope, searched_part.grad, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize(("of_noise", "of_members"), [(1.0, 1.0), (0.5, 2.0), (2.0, 0.5)])

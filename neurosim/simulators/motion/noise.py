@@ -212,20 +212,20 @@ def in_motion(unit: Tensor, sources: Tensor, mean: Tensor) -> Tensor:
         sources: of the noise model, [SOURCES, 3, 3].
         mean: mean displacements, [B, 3].
     """
+    arc, jacobian = arcs(unit, mean)
+    each = torch.einsum("nac,kcb,nb->nka", jacobian, sources, arc)
+    return each.mT @ each
+
+
+def arcs(unit: Tensor, mean: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the twists m [B, 3] of mean displacements [B, 3] in units [3], and J [B, 3, 3]."""
     turn, forward, sideways = components(mean).unbind(-1)
     along = se2.chord(turn)
     along = torch.where(along < 0.0, -1.0, 1.0) * along.abs().clamp(min=LEAST_CHORD)
     arc = torch.stack([turn, forward / along, sideways / along], dim=-1)
-    by = torch.einsum("kab,nb->nka", sources, arc / unit)
-    bent = shortened(turn).unsqueeze(-1) * by[..., 0]
-    along = along.unsqueeze(-1)
-    moved = [
-        by[..., 0],
-        along * by[..., 1] + arc[:, 1:2] * bent,
-        along * by[..., 2] + arc[:, 2:3] * bent,
-    ]
-    each = torch.stack(moved, dim=-1)
-    return each.transpose(1, 2) @ each
+    jacobian = torch.diag_embed(torch.stack([torch.ones_like(along), along, along], dim=-1))
+    jacobian[:, 1:, 0] = arc[:, 1:] * shortened(turn).unsqueeze(-1)
+    return arc / unit, jacobian
 
 
 def shortened(turn: Tensor) -> Tensor:

@@ -796,21 +796,87 @@ def _huber_regressions(
         near_zero: whether the prior holds a weight near zero, [F].
         weight: what each row counts, [N].
     """
-    row_weights, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
-    # By such a term alone, the target would have its size or less.
-    power = features.square().mean(2).sqrt().clamp(min=1e-9)
-    usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
-    for step in range(REGRESSIONS):
-        weighed = features * row_weights.unsqueeze(1)
-        square = weighed @ features.mT
-        diagonal = square.diagonal(dim1=1, dim2=2)
-        diagonal.add_(pull + 1e-9 * diagonal.mean(1, keepdim=True).clamp(min=1e-12))
-        weights = torch.linalg.solve(square, weighed @ target)
-        error = (weights.unsqueeze(1) @ features).squeeze(1) - target
-        # The median of the magnitude is 0.67 standard deviations of a normal distribution.
-        size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-9)
-        if step == REGRESSIONS - 1:
-            break
-        row_weights = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
-        pull = near_zero * (size / usual).square()
+    models, terms, rows = features.shape
+    weights = torch.empty(models, terms, dtype=torch.float64)
+    error = torch.empty(models, rows, dtype=torch.float64)
+    size = torch.empty(models, 1, dtype=torch.float64)
+    given = (features, target, near_zero, weight, weights, error, size)
+    _regress(*(part.contiguous().numpy() for part in given))
     return weights, Errors(error, size, weight)
+
+
+@njit(error_model="numpy", cache=True, fastmath={"contract", "reassoc", "nsz"})
+def _regress(features, target, near_zero, weight, weights, error, size):
+    """Write the results of :func:`_huber_regressions`: weights [P, F], errors [P, N], sizes [P, 1].
+
+    The other arguments are as there.
+    """
+    models, terms, rows = features.shape
+    middle, scale = (rows - 1) // 2, max(math.sqrt((target * target).mean()), 1e-9)
+    square, counts, magnitude = np.empty((terms, terms)), np.empty(rows), np.empty(rows)
+    weighed, power, pull = np.empty(rows), np.empty(terms), np.empty(terms)
+    for p in range(models):
+        counts[:], pull[:] = weight, 0.0
+        for i in range(terms):
+            power[i] = 0.0
+            for n in range(rows):
+                power[i] += features[p, i, n] * features[p, i, n]
+            power[i] = max(math.sqrt(power[i] / rows), 1e-9)
+        for _ in range(REGRESSIONS):
+            for i in range(terms):
+                right = 0.0
+                for n in range(rows):
+                    weighed[n] = counts[n] * features[p, i, n]
+                    right += weighed[n] * target[n]
+                weights[p, i] = right
+                for j in range(i + 1):
+                    total = 0.0
+                    for n in range(rows):
+                        total += weighed[n] * features[p, j, n]
+                    square[i, j] = total
+            mean = 0.0
+            for i in range(terms):
+                mean += square[i, i] / terms
+            for i in range(terms):
+                square[i, i] += pull[i] + 1e-9 * max(mean, 1e-12)
+            _solve(square, weights[p])
+            for n in range(rows):
+                error[p, n] = -target[n]
+            for i in range(terms):
+                for n in range(rows):
+                    error[p, n] += weights[p, i] * features[p, i, n]
+            for n in range(rows):
+                magnitude[n] = abs(error[p, n])
+            # The median of the magnitude is 0.67 standard deviations of a normal distribution.
+            size[p, 0] = max(1.4826 * np.partition(magnitude, middle)[middle], 1e-9)
+            for n in range(rows):
+                inside = min(_HUBER * size[p, 0] / max(magnitude[n], 1e-12), 1.0)
+                counts[n] = weight[n] * inside
+            for i in range(terms):
+                # By such a term alone, the target would have its size or less.
+                usual = _PRODUCTS * scale / power[i]
+                pull[i] = near_zero[i] * (size[p, 0] / usual) ** 2
+
+
+@njit(error_model="numpy", cache=True)
+def _solve(square, right):
+    """Solve a positive definite system, whose lower half is given, by Cholesky's method.
+
+    Args:
+        square: [F, F], overwritten by its factor.
+        right: [F], overwritten by the solution.
+    """
+    count = len(right)
+    for i in range(count):
+        for j in range(i + 1):
+            total = square[i, j]
+            for k in range(j):
+                total -= square[i, k] * square[j, k]
+            square[i, j] = math.sqrt(total) if i == j else total / square[j, j]
+        for k in range(i):
+            right[i] -= square[i, k] * right[k]
+        right[i] /= square[i, i]
+    for i in range(count - 1, -1, -1):
+        for k in range(i + 1, count):
+            right[i] -= square[k, i] * right[k]
+        right[i] /= square[i, i]
