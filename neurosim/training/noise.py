@@ -131,7 +131,7 @@ def _log_likelihood(
     """
     of_w[:], of_h[:], of_u[:], likelihood = 0.0, 0.0, 0.0, 0.0
     count, sources = len(places), len(u)
-    each, share, larger = np.empty(count), np.empty(count), np.empty(count)
+    each, fraction, larger = np.empty(count), np.empty(count), np.empty(count)
     of_variance, moved = np.empty((count, 6)), np.empty((sources, 3))
     fixed, of_moved, of_twist = np.empty(6), np.empty(3), np.empty(3)
     variance, of_log_s = np.empty(3), np.empty(3)
@@ -189,12 +189,12 @@ def _log_likelihood(
             of_variance[p, 4], of_variance[p, 5] = of_f / e, of_g / (2.0 * g)
         mixed = 0.0
         for p in range(count):
-            share[p] = math.exp(each[p] - best)
-            mixed += share[p]
+            fraction[p] = math.exp(each[p] - best)
+            mixed += fraction[p]
         likelihood += weight[n] * (best + math.log(mixed))
         fixed[:], of_log_s[:], of_tau = 0.0, 0.0, 0.0
         for p in range(count):
-            part = weight[n] * share[p] / mixed
+            part = weight[n] * fraction[p] / mixed
             for c in range(6):
                 fixed[c] += part * of_variance[p, c]
             for c in range(3):

@@ -92,7 +92,7 @@ def test_the_likelihood_and_its_derivatives_are_those_of_a_mixture_of_normal_dis
         return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
     rows, places = 40, torch.tensor([-1.7, 0.0, 1.7], dtype=torch.float64)
-    shares = torch.tensor([1.0, 4.0, 1.0], dtype=torch.float64)
+    fractions = torch.tensor([1.0, 4.0, 1.0], dtype=torch.float64)
     scale, tail, arc, jacobian = (
         normal(rows, 5),
         normal(rows, 3),
@@ -106,13 +106,13 @@ def test_the_likelihood_and_its_derivatives_are_those_of_a_mixture_of_normal_dis
     moved = torch.einsum("nac,kcb,nb->nka", jacobian, u, arc)
     covariance = torch.diag_embed((2.0 * log_s).exp()) + (moved.mT @ moved)[:, None]
     each = torch.distributions.MultivariateNormal(torch.zeros(3).double(), covariance)
-    mixed = (each.log_prob(error[:, None]) + (shares / shares.sum()).log()).logsumexp(1)
+    mixed = (each.log_prob(error[:, None]) + (fractions / fractions.sum()).log()).logsumexp(1)
     expected = (weight * mixed).sum()
     expected.backward()
     assert (heaviness(tail, h) == HEAVIEST).any()
 
     slopes = [torch.full_like(part, 9.0) for part in searched]
-    given = (places, shares, scale, tail, arc, jacobian, error, torch.zeros(3).double(), weight)
+    given = (places, fractions, scale, tail, arc, jacobian, error, torch.zeros(3).double(), weight)
     value = _log_likelihood(*(part.numpy() for part in (*given, *searched, *slopes)))
     constant = 1.5 * math.log(2.0 * math.pi) * weight.sum()
     assert value == pytest.approx(float(expected.detach() + constant), rel=1e-9)
