@@ -326,11 +326,11 @@ class Motion:
 
 
 class Errors(NamedTuple):
-    """Errors of one kind, of P models.
+    """Errors of P models.
 
     Attributes:
         error: [P, N].
-        size: robust size of the errors, [P, 1].
+        size: robust size of the errors, [P, 1] or, of several kinds, [P, N].
         weight: weights of the errors, [N] or [].
     """
 
@@ -733,7 +733,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     of_turn, of_shift = terms_near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _huber_regressions(pieces.sum(1), turn, of_turn, weight)
+    rate, turns_left = regressions(pieces.sum(1), turn, of_turn, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -743,9 +743,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     moved = se2.mid_turn(y)
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     twice = torch.cat([weight, weight])
-    speeds, shifts_left = _huber_regressions(
-        both, moved[:, :2].T.flatten(), of_shift.repeat(2), twice
-    )
+    speeds, shifts_left = regressions(both, moved[:, :2].T.flatten(), of_shift.repeat(2), twice)
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
@@ -785,44 +783,57 @@ def terms_near_zero(count: int, width: int, steered: bool) -> tuple[Tensor, Tens
     return ~of_two, products
 
 
-def _huber_regressions(
-    features: Tensor, target: Tensor, near_zero: Tensor, weight: Tensor
+def regressions(
+    features: Tensor,
+    target: Tensor,
+    near_zero: Tensor,
+    weight: Tensor,
+    products: float = _PRODUCTS,
+    kind: Tensor | None = None,
+    student: bool = False,
 ) -> tuple[Tensor, Errors]:
-    """Return the weights [P, F] of regressions with Huber's loss, and their errors.
+    """Return the weights [P, F] of robust regressions, and their errors.
 
     Args:
         features: [P, F, N]: of speeds, products and losses.
         target: [N].
         near_zero: whether the prior holds a weight near zero, [F].
         weight: what each row counts, [N].
+        products: prior fraction of the target that such terms explain.
+        kind: of the rows, whose errors differ in size, [N], 0, 1 ...; None: all are of one kind.
+        student: whether errors have Student's t distribution; if not, Huber's loss is minimised.
     """
     models, terms, rows = features.shape
+    if kind is None:
+        kind = torch.zeros(rows, dtype=torch.long)
     weights = torch.empty(models, terms, dtype=torch.float64)
     error = torch.empty(models, rows, dtype=torch.float64)
-    size = torch.empty(models, 1, dtype=torch.float64)
-    given = (features, target, near_zero, weight, weights, error, size)
-    _regress(*(part.contiguous().numpy() for part in given))
-    return weights, Errors(error, size, weight)
+    size = torch.empty(models, int(kind.max()) + 1, dtype=torch.float64)
+    given = (features, target, near_zero, weight, kind, weights, error, size)
+    _regress(*(part.contiguous().numpy() for part in given), products, student)
+    return weights, Errors(error, size if size.shape[1] == 1 else size[:, kind], weight)
 
 
 @njit(error_model="numpy", cache=True, fastmath={"contract", "reassoc", "nsz"})
-def _regress(features, target, near_zero, weight, weights, error, size):
-    """Write the results of :func:`_huber_regressions`: weights [P, F], errors [P, N], sizes [P, 1].
+def _regress(features, target, near_zero, weight, kind, weights, error, size, products, student):
+    """Write the results of :func:`regressions`: weights [P, F], errors [P, N], sizes [P, kinds].
 
     The other arguments are as there.
     """
     models, terms, rows = features.shape
-    middle, scale = (rows - 1) // 2, max(math.sqrt((target * target).mean()), 1e-9)
+    kinds = size.shape[1]
     square, counts, magnitude = np.empty((terms, terms)), np.empty(rows), np.empty(rows)
-    weighed, power, pull = np.empty(rows), np.empty(terms), np.empty(terms)
+    weighed, pull, first, many = np.empty(rows), np.empty(terms), np.zeros(kinds), np.zeros(kinds)
+    for n in range(rows):
+        first[kind[n]] += target[n] * target[n]
+        many[kind[n]] += 1.0
+    for k in range(kinds):
+        first[k] = max(math.sqrt(first[k] / max(many[k], 1.0)), 1e-9)
     for p in range(models):
-        counts[:], pull[:] = weight, 0.0
-        for i in range(terms):
-            power[i] = 0.0
-            for n in range(rows):
-                power[i] += features[p, i, n] * features[p, i, n]
-            power[i] = max(math.sqrt(power[i] / rows), 1e-9)
-        for _ in range(REGRESSIONS):
+        size[p] = first
+        for n in range(rows):
+            counts[n] = weight[n] / first[kind[n]] ** 2
+        for step in range(REGRESSIONS):
             for i in range(terms):
                 right = 0.0
                 for n in range(rows):
@@ -838,27 +849,68 @@ def _regress(features, target, near_zero, weight, weights, error, size):
             for i in range(terms):
                 mean += square[i, i] / terms
             for i in range(terms):
-                square[i, i] += pull[i] + 1e-9 * max(mean, 1e-12)
+                square[i, i] += 1e-9 * max(mean, 1e-12)
+                # After the size of errors is known.
+                if step > 0:
+                    square[i, i] += pull[i]
             _solve(square, weights[p])
             for n in range(rows):
                 error[p, n] = -target[n]
             for i in range(terms):
                 for n in range(rows):
                     error[p, n] += weights[p, i] * features[p, i, n]
+            for k in range(kinds):
+                place = 0
+                for n in range(rows):
+                    if kind[n] == k:
+                        magnitude[place] = abs(error[p, n])
+                        place += 1
+                if place:
+                    # The median is 0.67 standard deviations of a normal distribution.
+                    size[p, k] = max(1.4826 * _median(magnitude, place), 1e-9)
+            if step == 0:
+                # By such a term alone, the target would have ``products`` of its size or less.
+                for i in range(terms):
+                    power = 0.0
+                    for n in range(rows):
+                        power += (features[p, i, n] / first[kind[n]]) ** 2
+                    pull[i] = near_zero[i] * power / rows / products**2
             for n in range(rows):
-                magnitude[n] = abs(error[p, n])
-            # The median of the magnitude is 0.67 standard deviations of a normal distribution.
-            size[p, 0] = max(1.4826 * np.partition(magnitude, middle)[middle], 1e-9)
-            for n in range(rows):
-                inside = min(_HUBER * size[p, 0] / max(magnitude[n], 1e-12), 1.0)
-                counts[n] = weight[n] * inside
-            for i in range(terms):
-                # By such a term alone, the target would have its size or less.
-                usual = _PRODUCTS * scale / power[i]
-                pull[i] = near_zero[i] * (size[p, 0] / usual) ** 2
+                off = abs(error[p, n]) / size[p, kind[n]]
+                if student:
+                    inside = (FREEDOM + 1.0) / (FREEDOM + off * off)
+                else:
+                    inside = min(_HUBER / max(off, 1e-12), 1.0)
+                counts[n] = weight[n] * inside / size[p, kind[n]] ** 2
 
 
-@njit(error_model="numpy", cache=True)
+@kernel()
+def _median(values, count):
+    """Return the lower median of the first values, which it reorders (Hoare 1961, Algorithm 65).
+
+    ``np.partition`` takes ten seconds to compile.
+    """
+    wanted, low, high = (count - 1) // 2, 0, count - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if wanted <= j:
+            high = j
+        elif wanted >= i:
+            low = i
+        else:
+            break
+    return values[wanted]
+
+
+@kernel()
 def _solve(square, right):
     """Solve a positive definite system, whose lower half is given, by Cholesky's method.
 

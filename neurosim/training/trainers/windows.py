@@ -22,13 +22,12 @@ from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.trainers.drive_fit import (
-    FREEDOM,
-    REGRESSIONS,
     Actuators,
     Errors,
     Fit,
     outside,
     products_and_losses,
+    regressions,
     searched_terms,
     terms_near_zero,
 )
@@ -363,9 +362,7 @@ class Chains:
         distance, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
         of_turn, of_shift = terms_near_zero(self.commanded.shape[1], width, self.steered)
-        rate, turns_left = _student_regression(
-            distance[end] - distance[first], turn, windows, of_turn
-        )
+        rate, turns_left = _regression(distance[end] - distance[first], turn, of_turn, windows)
         # The turn of a row by the model, plus the model's error.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -387,46 +384,22 @@ class Chains:
         both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
-        speeds, shifts_left = _student_regression(
-            both, moved.T.flatten(), twice, of_shift.repeat(2)
-        )
-        return torch.stack([*speeds.view(2, width), rate], dim=1), turns_left + shifts_left
+        speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift.repeat(2), twice)
+        return torch.stack([*speeds.view(2, width), rate], dim=1), [turns_left, shifts_left]
 
 
-def _student_regression(
-    features: Tensor,
-    target: Tensor,
-    windows: Windows,
-    near_zero: Tensor,
-) -> tuple[Tensor, list[Errors]]:
-    """Return weights by Student's t, and the errors of each kind.
+def _regression(
+    features: Tensor, target: Tensor, near_zero: Tensor, windows: Windows
+) -> tuple[Tensor, Errors]:
+    """Return the weights [F] of windows by Student's t, and the errors, [W].
 
     Args:
         features: [W, F]: of speeds, products and losses.
         target: [W].
-        windows: their kinds and weights.
         near_zero: whether the prior holds a weight near zero, [F].
+        windows: their kinds and weights.
     """
-    features = features.T.contiguous()  # neighbours in memory are summed fastest
-    kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
-    size = torch.ones_like(target)
-    for kind in kinds:
-        size[kind] = target[kind].square().mean().sqrt().clamp(min=1e-9)
-    power = (features / size).square().mean(1).sqrt().clamp(min=1e-12)
-    usual = near_zero * (power / _PRODUCTS).square()
-    row_weights, pull = torch.ones_like(target), torch.zeros_like(usual)
-    for step in range(REGRESSIONS):
-        weighed = features * (windows.weight * row_weights / size.square())
-        square = weighed @ features.T
-        square.diagonal().add_(pull + 1e-9 * square.diagonal().mean().clamp(min=1e-12))
-        weights = torch.linalg.solve(square, weighed @ target)
-        error = weights @ features - target
-        magnitude = error.abs()
-        for kind in kinds:
-            size[kind] = (1.4826 * magnitude[kind].median()).clamp(min=1e-9)
-        if step == REGRESSIONS - 1:
-            break
-        row_weights = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
-        pull = usual  # after the size of errors is known
-    left = [Errors(error[kind], size[kind[:1]], windows.weight[kind]) for kind in kinds]
-    return weights, left
+    kind = windows.kind.unique(return_inverse=True)[1]
+    given = (features.T[None], target, near_zero, windows.weight, _PRODUCTS, kind, True)
+    weights, (error, size, weight) = regressions(*given)
+    return weights[0], Errors(error[0], size[0].expand_as(error[0]), weight)
