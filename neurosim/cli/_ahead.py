@@ -24,7 +24,9 @@ COMMANDS = 30
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()
+    # Python cannot end while a thread holds the buffer of standard input.
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
     os._exit(1)
 
 
