@@ -1,4 +1,4 @@
-"""Compiles the functions that a demo needs later, while it records: runs all stages once, in small.
+"""Compiles the functions that a demo needs later, while it records: runs later stages, in small.
 
 It runs in another process, ``python -m neurosim.cli._ahead``, which prints a line when the
 functions of evolution are compiled. It ends with the process that started it, because its standard
@@ -19,8 +19,12 @@ import numpy as np
 
 from neurosim.base.compiled import compiled_ahead
 
-#: Number of commands that are learned from, a few more than the least.
-COMMANDS = 30
+#: Number of rows that are learned from, a few more than the least.
+ROWS = 30
+#: Speed of a wheel at 1 %, m/s, and the distance between the wheels, m.
+SPEED, TRACK = 0.005, 0.13
+#: The inputs of a dataset of two wheels, and their units.
+INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 
 
 def _end_with_parent() -> None:
@@ -36,14 +40,44 @@ def _run(*words: object) -> None:
     cli.main([str(word) for word in words], standalone_mode=False)
 
 
+def _make_rows(out: Path) -> None:
+    """Write a dataset of random commands that a robot on ideal wheels followed on a board."""
+    from neurosim.base import se2
+    from neurosim.base.perimeter import Perimeter
+    from tracking.datasets.dataset import OUTPUTS, make
+
+    rng = np.random.default_rng(0)
+    given = rng.uniform((-50.0, -50.0, 0.5), (50.0, 50.0, 3.0), (ROWS, 3))
+    left, right, duration = given.T
+    speeds = SPEED * np.stack([(left + right) / 2.0, 0.0 * left, (right - left) / TRACK])
+    halfway, moved = (
+        se2.exp((speeds * time).T) + rng.normal(0.0, 0.002, (ROWS, 3))
+        for time in (duration / 2.0, duration)
+    )
+    rows = [
+        {
+            "recording": "made up",
+            "command": number,
+            "quality": 1.0,
+            "start": rng.uniform(-0.5, 0.5, 3),
+            "within": [{"time": duration[number] / 2.0, **dict(zip(OUTPUTS, half, strict=True))}],
+            **dict(zip(INPUTS, (*given[number - 1, :2], *given[number]), strict=True)),
+            **dict(zip(OUTPUTS, end, strict=True)),
+        }
+        for number, (half, end) in enumerate(zip(halfway, moved, strict=True))
+    ]
+    perimeter = Perimeter(sensors=((0.06, 0.09), (0.06, -0.09))).describe()
+    about = {"sources": [], "left_out": {}, "settings": {}, "perimeter": perimeter}
+    make(rows, INPUTS, **about).write(out)
+
+
 def main(evolved: Callable[[], None]) -> None:
-    """Run the stages of a demo on a few commands.
+    """Run the stages of a demo after its recording, with a few rows.
 
     Args:
         evolved: called when the functions of evolution are compiled.
     """
     from neurosim.controllers import make_controller, read_controller
-    from neurosim.lab import VirtualRig
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
@@ -53,12 +87,7 @@ def main(evolved: Callable[[], None]) -> None:
         folder = Path(name)
         dataset, simulator, controller = (folder / n for n in ("dataset", "simulator", "plan"))
         compile_loops()
-        camera = folder / "calibration.json"
-        with VirtualRig(0) as rig:
-            rig.camera.optics.calibration.write(camera)
-        words = ["record", folder / "recording", "--commands", COMMANDS, "--fps", 10]
-        _run(*words, "--calibration", camera)
-        _run("dataset", folder / "recording", "-o", dataset)
+        _make_rows(dataset)
         _run("train", dataset, "-o", simulator)
         evolve = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
         _run(*evolve, "--generations", 2, "--robust-generations", 2, "--final-draws", 64)
