@@ -830,7 +830,6 @@ def _regress(features, target, near_zero, weight, kind, weights, error, size, pr
     for k in range(kinds):
         first[k] = max(math.sqrt(first[k] / max(many[k], 1.0)), 1e-9)
     for p in range(models):
-        size[p] = first
         for n in range(rows):
             counts[n] = weight[n] / first[kind[n]] ** 2
         for step in range(REGRESSIONS):
