@@ -245,15 +245,18 @@ def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, child
         state[0] = np.uint64(seed) + np.uint64(job) * np.uint64(0xD1342543DE82EF95)
         first = _winner(fitness[run], tournament, state)
         second = _winner(fitness[run], tournament, state)
+        # Rows that are assigned whole bring in Numba's messages about shapes: four seconds.
         both = np.empty((2, width))
-        both[0], both[1] = genes[run, first], genes[run, second]
+        for g in range(width):
+            both[0, g], both[1, g] = genes[run, first, g], genes[run, second, g]
         if _uniform(state) < crossover:
             cross(both[0], both[1], keys[run, first], keys[run, second], eta, state)
         for child in range(2):
             place = elites + 2 * pair + child
             if place < population:
                 mutate(both[child], width // keys.shape[2], mutation, scale, insertion, state)
-                children[run, place] = both[child]
+                for g in range(width):
+                    children[run, place, g] = both[child, g]
 
 
 @njit(cache=True)
