@@ -21,10 +21,6 @@ from neurosim.base.compiled import compiled_ahead
 
 #: Number of rows that are learned from, a few more than the least.
 ROWS = 30
-#: Speed of a wheel at 1 %, m/s, and the distance between the wheels, m.
-SPEED, TRACK = 0.005, 0.13
-#: The inputs of a dataset of two wheels, and their units.
-INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 
 
 def _end_with_parent() -> None:
@@ -43,15 +39,16 @@ def _run(*words: object) -> None:
 def _make_rows(out: Path) -> None:
     """Write a dataset of random commands that a robot on ideal wheels followed on a board."""
     from neurosim.base import se2
+    from neurosim.base.commands import TWO_WHEELS
     from neurosim.base.perimeter import Perimeter
-    from tracking.datasets.dataset import OUTPUTS, make
+    from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
+    from tracking.datasets.dataset import OUTPUTS, inputs_of, make
 
-    rng = np.random.default_rng(0)
+    rng, wheels = np.random.default_rng(0), TWO_WHEELS.measured(full=0.5, track=0.13)
     given = rng.uniform((-50.0, -50.0, 0.5), (50.0, 50.0, 3.0), (ROWS, 3))
-    left, right, duration = given.T
-    speeds = SPEED * np.stack([(left + right) / 2.0, 0.0 * left, (right - left) / TRACK])
+    inputs, duration, twist = inputs_of(wheels), given[:, 2], wheels.twist(given[:, :2])
     halfway, moved = (
-        se2.exp((speeds * time).T) + rng.normal(0.0, 0.002, (ROWS, 3))
+        se2.exp(twist * time[:, None]) + rng.normal(0.0, 0.002, (ROWS, 3))
         for time in (duration / 2.0, duration)
     )
     rows = [
@@ -61,14 +58,15 @@ def _make_rows(out: Path) -> None:
             "quality": 1.0,
             "start": rng.uniform(-0.5, 0.5, 3),
             "within": [{"time": duration[number] / 2.0, **dict(zip(OUTPUTS, half, strict=True))}],
-            **dict(zip(INPUTS, (*given[number - 1, :2], *given[number]), strict=True)),
+            **dict(zip(inputs, (*given[number - 1, :2], *given[number]), strict=True)),
             **dict(zip(OUTPUTS, end, strict=True)),
         }
         for number, (half, end) in enumerate(zip(halfway, moved, strict=True))
     ]
-    perimeter = Perimeter(sensors=((0.06, 0.09), (0.06, -0.09))).describe()
+    lights = tuple((LIGHT_AHEAD, side) for side in (LIGHT_ASIDE, -LIGHT_ASIDE))
+    perimeter = Perimeter(sensors=lights).describe()
     about = {"sources": [], "left_out": {}, "settings": {}, "perimeter": perimeter}
-    make(rows, INPUTS, **about).write(out)
+    make(rows, inputs, **about).write(out)
 
 
 def main(evolved: Callable[[], None]) -> None:
