@@ -13,7 +13,14 @@ from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of
 from neurosim.simulators.motion.network import rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion, body_modes, fit_drive
+from neurosim.training.trainers.drive_fit import (
+    Actuators,
+    Fit,
+    Motion,
+    body_modes,
+    fit_drive,
+    regressions,
+)
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -189,3 +196,11 @@ def test_forward_motion_and_turn_are_modes_of_four_wheels_too():
     assert torch.linalg.matrix_rank(modes) == 4
     # Those of a robot that is commanded by them are its actuators.
     assert body_modes(torch.tensor([[0.4, 0.01], [0.0, 0.0], [0.02, 2.0]]).double()) is None
+
+
+def test_a_regression_without_rows_has_no_weights():
+    # The first part of a log in which the robot stands has no windows.
+    none, terms = torch.zeros(0, dtype=torch.float64), torch.ones(2, dtype=torch.bool)
+    weights, errors = regressions(none.view(1, 0).expand(1, 2, 0), none, terms, none)
+    assert weights.tolist() == [[0.0, 0.0]]
+    assert errors.error.shape == (1, 0)

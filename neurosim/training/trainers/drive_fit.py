@@ -808,7 +808,7 @@ def regressions(
         kind = torch.zeros(rows, dtype=torch.long)
     weights = torch.empty(models, terms, dtype=torch.float64)
     error = torch.empty(models, rows, dtype=torch.float64)
-    size = torch.empty(models, int(kind.max()) + 1, dtype=torch.float64)
+    size = torch.empty(models, len(kind.unique()), dtype=torch.float64)
     given = (features, target, near_zero, weight, kind, weights, error, size)
     _regress(*(part.contiguous().numpy() for part in given), products, student)
     return weights, Errors(error, size if size.shape[1] == 1 else size[:, kind], weight)
@@ -873,7 +873,7 @@ def _regress(features, target, near_zero, weight, kind, weights, error, size, pr
                     power = 0.0
                     for n in range(rows):
                         power += (features[p, i, n] / first[kind[n]]) ** 2
-                    pull[i] = near_zero[i] * power / rows / products**2
+                    pull[i] = near_zero[i] * power / max(rows, 1) / products**2
             for n in range(rows):
                 off = abs(error[p, n]) / size[p, kind[n]]
                 if student:
