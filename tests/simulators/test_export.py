@@ -36,6 +36,19 @@ def test_the_program_is_the_step(exported, rows):
         torch.testing.assert_close(driven, expected, rtol=0, atol=1e-12)
 
 
+def test_a_step_multiplies_two_tensors_at_a_time(monkeypatch):
+    """For three, opt_einsum (where it is installed, as by JAX) fixes the exported batch's size."""
+    plain, factors = torch.einsum, []
+    monkeypatch.setattr(
+        torch, "einsum", lambda text, *of: factors.append(len(of)) or plain(text, *of)
+    )
+    simulator = random_motion_network(4, central=True, floor=True)
+    commands = random_plans(simulator, 4)
+    state, noise = given(simulator, commands)
+    drive(ours(simulator), state, commands, noise)
+    assert set(factors) == {2}
+
+
 @pytest.mark.slow
 def test_gradients_flow_through_the_program(exported):
     simulator, _, program = exported

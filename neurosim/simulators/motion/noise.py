@@ -213,7 +213,9 @@ def in_motion(unit: Tensor, sources: Tensor, mean: Tensor) -> Tensor:
         mean: mean displacements, [B, 3].
     """
     arc, jacobian = arcs(unit, mean)
-    each = torch.einsum("nac,kcb,nb->nka", jacobian, sources, arc)
+    # Two factors at a time: for three, opt_einsum (where it is installed) fixes the size of an
+    # exported batch.
+    each = torch.einsum("kcb,nb->nkc", sources, arc) @ jacobian.mT
     return each.mT @ each
 
 
