@@ -7,7 +7,7 @@ import neurosim as ns
 simulator = ns.load("simulator")
 task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
-fitness = ns.evaluate(simulator, task, network, samples=12)
+fitness = ns.evaluate(simulator, task, network, samples=24)
 
 search = ng.optimizers.TwoPointsDE(ng.p.Array(shape=(network.genes,)), budget=2500)
 search.parametrization.random_state.seed(1)

@@ -7,7 +7,7 @@ import neurosim as ns
 simulator = ns.load("simulator")
 task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
-fitness = ns.evaluate(simulator, task, network, samples=12)
+fitness = ns.evaluate(simulator, task, network, samples=24)
 
 options = {"seed": 1, "popsize": 40, "maxiter": 60}
 search = cma.CMAEvolutionStrategy(network.genes * [0.0], 0.5, options)
