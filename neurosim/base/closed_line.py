@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.threads import WORTH_SHARING, on_cores
 
@@ -115,14 +115,14 @@ class ClosedLine:
         return np.concatenate([place, se2.wrapped(heading)[..., None]], axis=-1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def distance_to(points: NDArray[np.float64], x: float, y: float) -> float:
     """Return the distance of a point (m) from the closed line of points [N, 2]."""
     distance, _, _ = _nearest_side(points, x, y)
     return distance
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[float, int, float]:
     """Return a point's distance (m), the nearest side, and the position along it, 0..1."""
     least, side, where = np.inf, 0, 0.0
@@ -138,7 +138,7 @@ def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[floa
     return math.sqrt(least), side, where
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _nearest(
     points: NDArray[np.float64],
     sides: NDArray[np.float64],

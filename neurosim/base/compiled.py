@@ -1,15 +1,19 @@
-"""Where compiled functions are stored between two runs."""
+"""Compiled functions, and where their machine code is stored between two runs."""
 
 from __future__ import annotations
 
 import atexit
+import functools
 import hashlib
 import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 #: Beginning of the names of machine code folders; a digest of the sources follows.
 _PREFIX = "neurosim-compiled-"
@@ -75,6 +79,38 @@ def keep_compiled(*packages: Path) -> None:
     os.environ["NUMBA_CACHE_DIR"] = folder
 
 
+def njit(function: Callable | None = None, /, *, cache: bool = True, **options: Any) -> Any:
+    """Compile a function as ``numba.njit`` does, in one process where several need it at once.
+
+    The others wait, and load the machine code that it has stored.
+
+    Args:
+        function: without it, a decorator with these options is returned.
+        cache: whether the machine code is stored; if not, each process compiles its own.
+        options: of ``numba.njit``.
+    """
+    if function is None:
+        return functools.partial(njit, cache=cache, **options)
+    import numba
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    compiled = numba.njit(cache=cache, **options)(function)
+    if cache and isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function
+        name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>.", "")
+        lock = FileLock(Path(os.environ["NUMBA_CACHE_DIR"]) / name)
+        compile_here = compiled.compile
+
+        def compile_once(signature: Any) -> Any:
+            # Numba's own lock comes first: so no thread waits for a file that another one's
+            # function needs.
+            with global_compiler_lock, lock:
+                return compile_here(signature)
+
+        vars(compiled)["compile"] = compile_once
+    return compiled
+
+
 def compiled_ahead() -> Path:
     """Return the file next to the machine code that marks a demo's functions as compiled."""
     _named_now()
@@ -87,8 +123,8 @@ def _digest(packages: tuple[Path, ...]) -> str:
     Files next to them count, too: compiled functions contain their constants.
     """
     sources = {p: p.read_bytes() for package in packages for p in package.rglob("*.py")}
-    folders = {path.parent for path, source in sources.items() if b"import numba" in source}
-    folders |= {path.parent for path, source in sources.items() if b"from numba" in source}
+    uses = (b"import numba", b"from numba", b"import njit")
+    folders = {path.parent for path, source in sources.items() if any(u in source for u in uses)}
     digest = hashlib.sha256()
     for path in sorted(sources):
         if path.parent in folders:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from neurosim.base.compiled import njit
 
 
 def kernel(**options: Any) -> Callable[[Any], Any]:
@@ -21,4 +21,4 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
         options: of ``numba.njit``.
     """
     alone = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    return njit(error_model="numpy", **alone, **options)  # type: ignore[call-overload]
+    return njit(cache=False, error_model="numpy", **alone, **options)

@@ -14,9 +14,9 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
 from neurosim.base.se2 import compiled as se2
 
@@ -142,13 +142,13 @@ class Perimeter(Checked):
         return poses
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _inside(x: float, y: float, half: tuple[float, float]) -> float:
     """Return a point's distance from the board's edge, m; below 0 outside."""
     return min(half[0] - abs(x), half[1] - abs(y))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _ends(
     guard: NDArray,
     poses: NDArray,

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import files, formats
 from neurosim.base.closed_line import ClosedLine
+from neurosim.base.compiled import njit
 from neurosim.base.declared import (
     Checked,
     Coordinate,
@@ -435,7 +435,7 @@ def _flat(points: ArrayLike) -> tuple[NDArray[np.float64], tuple[int, ...]]:
     return np.ascontiguousarray(given.reshape(-1, 2)), given.shape[:-1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _is_inside(outline: NDArray, x: float, y: float) -> bool:
     """Return whether a point is inside the sides [N, 4] of an outline; without any, it is."""
     inside = len(outline) == 0
@@ -446,13 +446,13 @@ def _is_inside(outline: NDArray, x: float, y: float) -> bool:
     return inside
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _write_inside(outline: NDArray, points: NDArray, inside: NDArray) -> None:
     for n in range(len(points)):
         inside[n] = _is_inside(outline, points[n, 0], points[n, 1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _nearest(surfaces: NDArray, x: float, y: float) -> float:
     """Return a point's distance from the nearest of surfaces [W, 4]."""
     nearest = math.inf
@@ -467,7 +467,7 @@ def _nearest(surfaces: NDArray, x: float, y: float) -> float:
     return math.sqrt(nearest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _write_clearance(
     outline: NDArray, surfaces: NDArray, cylinders: NDArray, points: NDArray, clearance: NDArray
 ) -> None:

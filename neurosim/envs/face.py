@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from gymnasium.spaces import Box
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import WHEELS
 from neurosim.controllers.registry import usual_inputs
@@ -225,7 +225,7 @@ def rate(task: Task) -> float:
     return 1.0 / task.episode.step if math.isfinite(task.episode.step) else 1.0
 
 
-@njit(cache=True)
+@njit
 def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
     """Return the index in values [B, C] of the first value beyond its limits [C], or -1."""
     for b in range(values.shape[0]):
@@ -235,7 +235,7 @@ def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
     return -1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _observe(pilot, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
     """Write observations [K, I], cut at their limits; ``goal`` [B] is each row's next one."""
     for k in range(len(rows)):

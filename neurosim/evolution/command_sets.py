@@ -15,9 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.base.threads import WORTH_SHARING, on_cores
@@ -122,18 +122,18 @@ class PlanPopulation:
         self._generation += 1
 
 
-@njit(cache=True)
+@njit
 def _uniform(state):
     state[0] += GOLDEN
     return uniform(state[0])
 
 
-@njit(cache=True)
+@njit
 def _normal(state):
     return normal(_uniform(state), _uniform(state))
 
 
-@njit(cache=True)
+@njit
 def _winner(fitness, size, state):
     """Return the fittest of ``size`` drawn with replacement."""
     best = int(_uniform(state) * len(fitness))
@@ -144,7 +144,7 @@ def _winner(fitness, size, state):
     return best
 
 
-@njit(cache=True)
+@njit
 def cross(a, b, keys_a, keys_b, eta, state):
     """Cross the commands of two plans that have the same key, in place.
 
@@ -172,7 +172,7 @@ def cross(a, b, keys_a, keys_b, eta, state):
             break
 
 
-@njit(cache=True)
+@njit
 def mutate(genes, width, probability, scale, insertion, state):
     """Change each gene of a plan with ``probability``, in place.
 
@@ -209,7 +209,7 @@ def mutate(genes, width, probability, scale, insertion, state):
                 genes[first] = 1.0 - 0.5 * NULL_FRACTION * _uniform(state)
 
 
-@njit(cache=True)
+@njit
 def _move(genes, source, place, width):
     """Move the command whose genes begin at ``source`` to ``place``; those between them shift."""
     if source < place:
@@ -219,19 +219,19 @@ def _move(genes, source, place, width):
         genes[g + width] = genes[g]
 
 
-@njit(cache=True)
+@njit
 def is_null(gene):
     """Return whether a command's first gene says that it is not given."""
     return gene > 1.0 - NULL_FRACTION
 
 
-@njit(cache=True)
+@njit
 def _pairs(population, elites):
     """Return the number of pairs of children in a generation of one run."""
     return (population - elites + 1) // 2
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, children):
     """Fill some pairs, counted through all runs, of ``children`` [N, P, G] after the elites."""
     population, width = genes.shape[1:]
@@ -259,7 +259,7 @@ def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, child
                     children[run, place, g] = both[child, g]
 
 
-@njit(cache=True)
+@njit
 def decode(genes, low, high, steps, shortest, longest):
     """Return commands [B, K, C + 1] (their numbers, s) and which are given [B, K].
 
@@ -289,7 +289,7 @@ def decode(genes, low, high, steps, shortest, longest):
     return commands, given
 
 
-@njit(cache=True)
+@njit
 def pairing_keys(region, given):
     """Return a key [B, K] per command, equal in two plans for commands to be paired.
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from neurosim.base.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def deepest(x, y, size, walls, cylinders):
     """Return the deepest contact of a disc: its depth (m) and the direction out of it.
 
@@ -39,7 +40,7 @@ def deepest(x, y, size, walls, cylinders):
     return depth, nx, ny
 
 
-@njit(cache=True)
+@njit
 def hit(x, y, cos, sin, walls, cylinders):
     """Return a ray's distance to the nearest surface (m) and its cosine of incidence there.
 
@@ -75,7 +76,7 @@ def hit(x, y, cos, sin, walls, cylinders):
     return best, incidence
 
 
-@njit(cache=True)
+@njit
 def distances(origins, directions, walls, cylinders):
     """Return the distance of the nearest surface along rays, [N] m; infinity: there is none.
 

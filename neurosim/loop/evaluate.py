@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.cluster import Name
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.generations import compiling_notice
 from neurosim.base.interrupts import uninterrupted
@@ -252,7 +252,7 @@ class Evaluator:
 _HINTS = {"keys": Evaluator._keys}
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _fraction(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
     """Return the fraction [P] of the time in active intervals [P, N] that are not supported."""
     fractions = np.zeros(len(durations))

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from neurosim.base.compiled import njit
 
 #: Number of rows per pass, whose outputs stay in the first-level cache.
 _ROWS = 256
 
 _f = np.float32
-_njit = numba.njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy", cache=True)
+_njit = njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 
-@numba.njit(fastmath={"contract", "nsz"}, inline="always")
+@njit(cache=False, fastmath={"contract", "nsz"}, inline="always")
 def _exp2(z):
     """Return 2 to the power of z, |z| < 126, to about 1e-7 relative.
 
@@ -56,12 +57,7 @@ def _add_unit(out, weight, exponents, log2, start, rows, limit):
         out[j] += weight * _exp2(min(max(z[j], -limit), limit))
 
 
-@numba.njit(
-    fastmath={"contract", "reassoc", "nsz", "arcp"},
-    error_model="numpy",
-    nogil=True,
-    cache=True,
-)
+@njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy", nogil=True)
 def squared_error(
     exponents, signed, weights, bias, log2, x, targets, spans, limit, first, last, sums
 ):

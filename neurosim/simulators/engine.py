@@ -27,9 +27,10 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_num_threads, njit
+from numba import get_num_threads
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.kernels import kernel
 from neurosim.base.threads import on_cores
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped

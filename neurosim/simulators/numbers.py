@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.random import GOLDEN, bits
 from neurosim.base.threads import on_cores
 
@@ -22,7 +22,7 @@ NONE, UNIFORM, NORMAL = 0, 1, 2
 _WORTH_SHARING = 10_000
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(inline="always", error_model="numpy")
 def draw(noise, state, out):
     """Write numbers for the noise of a step; return the next state.
 
@@ -73,7 +73,7 @@ def numbers(
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _fill(
     noise: int, seeds: NDArray[np.uint64], first: NDArray[np.int64], out: NDArray[np.float32]
 ) -> None:
@@ -90,7 +90,7 @@ def _fill(
                 out[row, step, n] = numbers[n]
 
 
-@njit(cache=True)
+@njit
 def words(seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Return a word of 64 random bits [R] for each seed and step, [R] both."""
     out = np.empty(len(seeds), np.uint64)

@@ -39,9 +39,9 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from msgspec import Meta
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import LONGEST_ARC
@@ -227,7 +227,7 @@ class NineRectangles(Task):
         return shapes
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _places(x: NDArray, y: NDArray, grid: tuple) -> NDArray:
     places = np.empty(len(x), np.int64)
     for i in range(len(x)):
@@ -235,7 +235,7 @@ def _places(x: NDArray, y: NDArray, grid: tuple) -> NDArray:
     return places
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _room(x: float, y: float, grid: tuple) -> float:
     """Return the distance (m) of a point in the grid from the borders of its rectangle."""
     course, length, width = grid
@@ -244,7 +244,7 @@ def _room(x: float, y: float, grid: tuple) -> float:
     return min(length * min(column, 1.0 - column), width * min(row, 1.0 - row))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _place(x: float, y: float, grid: tuple) -> int:
     """Return the rectangle at a point: its number, -1 forbidden, -2 outside."""
     course, length, width = grid
@@ -256,7 +256,7 @@ def _place(x: float, y: float, grid: tuple) -> int:
     return course[int(row), int(column)]
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _advance(progress: int, place: int, last: int) -> tuple[int, int]:
     """Return progress along the course after a step to ``place``, and the fault or 0.
 
@@ -277,7 +277,7 @@ def _advance(progress: int, place: int, last: int) -> tuple[int, int]:
     return progress, _SKIPPED
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _segment(
     start_x: float,
     start_y: float,
@@ -316,14 +316,14 @@ def _segment(
     return progress, max(highest, progress), fault
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _begin(x: float, y: float, grid: tuple, last: int) -> tuple[int, int]:
     """Return progress at a start, and the fault or 0."""
     progress, fault = _advance(0, _place(x, y, grid), last)
     return (progress, fault) if progress == 0 else (0, _SKIPPED)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _add(
     record: NDArray,
     poses: NDArray,

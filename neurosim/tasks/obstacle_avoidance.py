@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.declared import Count, Number, Step
 from neurosim.base.errors import UserError
 from neurosim.base.place import Place
@@ -151,7 +151,7 @@ def cells_visited(trajectory: Trajectory) -> NDArray[np.float64]:
     return ObstacleAvoidance("cells", steps=steps, starts=1).judge(trajectory).fitness
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+@njit(error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _worth(readings, command):  # type: ignore[no-untyped-def]
     """Return the value of a step with readings [S] and a command [2 or more]: equation (1).
 
@@ -168,7 +168,7 @@ def _worth(readings, command):  # type: ignore[no-untyped-def]
     return speed * (1.0 - difference * difference) * (1.0 - highest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add(readings, commands, steps, record):  # type: ignore[no-untyped-def]
     """Add to records [K, 2] the value of intervals of readings [K, S] and commands [K, C]."""
     for k in range(len(record)):

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.polynomial.hermite_e import hermegauss
 from torch import Tensor
 
+from neurosim.base.compiled import njit
 from neurosim.base.threads import one_thread
 from neurosim.simulators.motion.noise import (
     HEAVIEST,
@@ -107,7 +107,7 @@ def fit_noise(
     return NoiseModel(unit=unit, log_scale=w, tail=h, sources=u * size.unsqueeze(-1))
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _log_likelihood(
     places, weights, scale, tail, arc, jacobian, error, finest, weight, w, h, u, of_w, of_h, of_u
 ):

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
 from neurosim.networks.control import NOT_READINGS
@@ -385,7 +385,7 @@ class _Quiet:
         """Show nothing."""
 
 
-@njit(cache=True, fastmath={"contract", "nsz"})
+@njit(fastmath={"contract", "nsz"})
 def _rough(m, kappa, out):
     """Write (kappa + L) m."""
     ny, nx = m.shape
@@ -403,7 +403,7 @@ def _rough(m, kappa, out):
             out[j, i] = total
 
 
-@njit(cache=True, fastmath={"contract", "nsz"})
+@njit(fastmath={"contract", "nsz"})
 def _normal(points, weights, kappa, smooth, m, inner, out):
     """Write (W'W + smooth (kappa + L)^2) m."""
     _rough(m, kappa, inner)
@@ -418,7 +418,7 @@ def _normal(points, weights, kappa, smooth, m, inner, out):
             into[points[row, c]] += weights[row, c] * total
 
 
-@njit(cache=True, fastmath={"contract", "nsz"})
+@njit(fastmath={"contract", "nsz"})
 def _conjugate_gradients(points, weights, values, kappa, smooth, exact, x):
     """Change the map x to the least-squares one (Hestenes and Stiefel 1952)."""
     residual = np.zeros_like(x)

@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,36 @@ def test_an_edited_function_that_a_compiled_one_calls_is_compiled_anew(tmp_path)
     callee = tmp_path / "callee.py"
     callee.write_text(callee.read_text().replace("x + 1", "x + 2"))
     assert ran().split() == ["30", "0"]
+
+
+@pytest.mark.slow
+def test_of_two_processes_that_need_a_function_one_compiles_it(tmp_path):
+    program = (
+        "import sys, numba\n"
+        "from numba.core import event\n"
+        "from neurosim.base.compiled import njit\n"
+        "@njit\ndef f(x):\n    return x + 1\n"
+        "class Begins(event.Listener):\n"
+        "    def on_start(self, event):\n"
+        "        print('compiles', flush=True), sys.stdin.readline()\n"
+        "    def on_end(self, event):\n        pass\n"
+        "numba.njit(lambda x: x)(1)\n"  # what Numba does once before it compiles
+        "event.register('numba:compile', Begins())\n"
+        "print('needs it', flush=True)\n"
+        "print(f(1), flush=True)\n"
+    )
+    source = tmp_path / "program.py"
+    source.write_text(program)
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    env["PYTHONPATH"] = os.pathsep.join(sys.path)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": env}
+    with subprocess.Popen([sys.executable, source], **pipes) as first:
+        lines = [first.stdout.readline() for _ in range(2)]
+        with subprocess.Popen([sys.executable, source], **pipes) as second:
+            assert second.stdout.readline() == "needs it\n"
+            second.stdin.close()
+            time.sleep(0.5)
+            first.stdin.close()
+            lines += first.stdout.readlines()
+            assert second.stdout.readlines() == ["2\n"]
+    assert lines == ["needs it\n", "compiles\n", "2\n"]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from neurosim.base.compiled import njit
 
 #: Chroma across the marker's hue that is tolerated, as a fraction of that along it: 34 degrees.
 ACROSS = 1.5
@@ -27,7 +28,7 @@ GLARE = 1.2
 _ROOT = math.sqrt(0.75)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def read_patch(frame, u, v, reach, blue_gain, red_gain, passes):
     """Return chroma plane [2, H, W] and luma [H, W] around a place, and where they begin.
 
@@ -58,7 +59,7 @@ def read_patch(frame, u, v, reach, blue_gain, red_gain, passes):
     return plane, luma, left, top
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _smooth_down(channel):
     """Weigh each pixel [H, W] with those above and below it, 1 2 1, in place."""
     for j in range(channel.shape[1]):
@@ -69,7 +70,7 @@ def _smooth_down(channel):
             before = own
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def mean_luma(frame, u, v, radius):
     """Return the mean luma within a radius of a place, NaN where none of it is in the picture."""
     height, width = frame.shape[:2]
@@ -83,26 +84,26 @@ def mean_luma(frame, u, v, radius):
     return total / count if count else math.nan
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _member(alpha, beta, p, q, chroma):
     """See :meth:`tracking.markers.markers.Look.membership`."""
     along, across = p * alpha + q * beta, p * beta - q * alpha
     return min(max(((along - ACROSS * abs(across)) / chroma - 0.25) / 0.35, 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _disc(i, j, u, v, radius):
     """Return 1 within a radius, 0 without, soft over one pixel."""
     return min(max(radius + 0.5 - math.sqrt((j - u) ** 2 + (i - v) ** 2), 0.0), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _span(middle, radius, size):
     """Return the first pixel, and that after the last, in which a disc may be other than 0."""
     return max(0, math.floor(middle - radius)), min(size, math.ceil(middle + radius) + 1)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _centroid(member, u, v, radius):
     total = across = down = 0.0
     top, bottom = _span(v, radius, member.shape[0])
@@ -120,7 +121,7 @@ def _centroid(member, u, v, radius):
     return across / total, down / total, total
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _densest(member, u, v, radius, margin):
     """Return the place with most of the colour, near (u, v) preferred; and its amount."""
     rows, columns = member.shape
@@ -147,7 +148,7 @@ def _densest(member, u, v, radius, margin):
     return best_j, best_i, best
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def darkest(luma):
     """Return the tenth percentile of luma: the marker's background."""
     counts = np.zeros(256, np.int64)
@@ -162,7 +163,7 @@ def darkest(luma):
     return 255.0
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _length(member, u, v, radius):
     """Return half the length of an evenly coloured bar as long as the colour around (u, v)."""
     total = uu = uv = vv = 0.0
@@ -181,7 +182,7 @@ def _length(member, u, v, radius):
     return math.sqrt(3.0 * (mean + math.sqrt(half**2 + uv**2)) / total)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _plain(plane, u, v, radius, p, q, chroma):
     """Return whether a marker is coloured in its middle as well, without a white dot."""
     total = along = 0.0
@@ -195,7 +196,7 @@ def _plain(plane, u, v, radius, p, q, chroma):
     return along > 0.6 * chroma * total
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _foreign(plane, member, u, v, chroma):
     """Return whether (u, v) is of another colour: neither the marker's own, nor white or grey."""
     i, j = round(v), round(u)
@@ -205,7 +206,7 @@ def _foreign(plane, member, u, v, chroma):
     return coloured and member[i, j] == 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _without_glare(member, luma, u, v, radius, backing):
     """Return both levelled, without pixels much brighter than the colour at (u, v)."""
     total = light = 0.0
@@ -226,7 +227,7 @@ def _without_glare(member, luma, u, v, radius, backing):
     return member, luma
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _brightest(plane, luma, u, v, radius, reach, full, dead, p, q, chroma, light, backing):
     """Return the centroid of the marker's light within reach of itself, and its sum."""
     dark = backing + dead * light
@@ -263,7 +264,7 @@ def _brightest(plane, luma, u, v, radius, reach, full, dead, p, q, chroma, light
     return u, v, total
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, red_gain, passes):
     """See :func:`tracking.markers.markers.measure`.
 
@@ -316,7 +317,7 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
     return True, left + cu, top + cv, left + ou, top + ov, area, p, q, chroma, light
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def read_look(plane, luma, u, v, radius, p, q, chroma, light, backing):
     """Measure a marker's look in a patch, from a rough look: direction, chroma, light."""
     total = alpha = beta = lit = 0.0

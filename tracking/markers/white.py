@@ -8,9 +8,9 @@ removed before a marker's hue is compared: a robot or a hand is a small part of 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from tracking.markers.colours import NO_CAST
 
 #: Pixels that are examined along the picture's width.
@@ -67,7 +67,7 @@ class Cast:
         return self.white
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
     """Return the number of usable pixels, and the median gains of green over the others."""
     gained = np.empty((2, len(grid)), np.float32)
@@ -84,7 +84,7 @@ def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
     return count, np.median(gained[0, :count]), np.median(gained[1, :count])
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _dimmed(grid: NDArray, before: NDArray) -> tuple[int, float]:
     """Return the number of lit pixels, and the median ratio of their light to that before."""
     fractions = np.empty(len(grid), np.float32)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from neurosim.base.compiled import njit
 from neurosim.base.perimeter import Board
 from neurosim.lab.nxt.params import BOARD, CameraParams
 from tracking.camera.camera_model import CameraModel
@@ -78,7 +78,7 @@ class Optics:
         return self.centre[:2] + rays[..., :2] * reach[..., None]
 
 
-@njit(cache=True)
+@njit
 def distort(x, y, k):
     """Bend undistorted normalised coordinates as the lens does."""
     r2 = x * x + y * y
@@ -89,7 +89,7 @@ def distort(x, y, k):
     )
 
 
-@njit(cache=True)
+@njit
 def undistorted_rays(matrix, k, width, height):
     """Return undistorted normalised coordinates of every pixel's centre, [height, width, 2].
 

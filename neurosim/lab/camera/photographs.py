@@ -12,8 +12,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numba import njit
 
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.files import check_name, new_folder, write_csv
 from neurosim.lab.camera import scene
@@ -122,7 +122,7 @@ def _held_pose(
             return rotation, translation
 
 
-@njit(cache=True)
+@njit
 def _paint_chessboard(picture, rays, rotation, translation):
     """Paint a chessboard into a picture, float32 [H, W, 3], 4 x 4 samples a pixel."""
     height, width = rays.shape[:2]

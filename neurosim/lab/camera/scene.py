@@ -15,9 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 
 from neurosim.base.closed_line import distance_to
+from neurosim.base.compiled import njit
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import Board
 from neurosim.base.place import THICKNESS, Place
@@ -63,7 +63,7 @@ _GRAIN = 0.02
 
 
 #: Compiles the loops over pixels; the order of sums may change, which no pixel shows.
-_painted = njit(cache=True, error_model="numpy", fastmath=True)
+_painted = njit(error_model="numpy", fastmath=True)
 
 
 def marks_of(board: Board) -> np.ndarray:

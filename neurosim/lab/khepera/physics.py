@@ -11,8 +11,8 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 
+from neurosim.base.compiled import njit
 from neurosim.lab.contact import deepest, hit
 from neurosim.lab.khepera.params import PULSES_PER_METRE, RADIUS, WHEEL_BASE
 
@@ -71,7 +71,7 @@ def new_inputs() -> np.ndarray:
     return np.zeros(int(U.SIZE))
 
 
-@njit(cache=True)
+@njit
 def _wanted(state, inputs, wheel, motor):
     """Return the speed that a wheel's controller holds, m/s: with the gain, less the friction."""
     target = inputs[U.TARGET + wheel]
@@ -88,14 +88,14 @@ def _wanted(state, inputs, wheel, motor):
     return math.copysign(size, target)
 
 
-@njit(cache=True)
+@njit
 def penetration(x, y, walls, cylinders):
     """Return the depth in a surface of a robot at (x, y), m; below 0 where it is free."""
     depth, _, _ = deepest(x, y, RADIUS, walls, cylinders)
     return depth
 
 
-@njit(cache=True)
+@njit
 def _settle(state, old_x, old_y, walls, cylinders, friction):
     """Push a robot out of a surface; along the surface, friction holds it back."""
     touched = False
@@ -116,7 +116,7 @@ def _settle(state, old_x, old_y, walls, cylinders, friction):
             state[S.X], state[S.Y] = old_x, old_y
 
 
-@njit(cache=True)
+@njit
 def advance(state, inputs, motor, walls, cylinders, rng, until):
     """Drive on to the tick ``until``; earlier ones change nothing.
 
@@ -171,7 +171,7 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
                 state[S.DRIFT] = drift_keep * state[S.DRIFT] + drift_fresh * rng.standard_normal()
 
 
-@njit(cache=True)
+@njit
 def reflected(pose, angle, walls, cylinders):
     """Return the light (1/m2) that comes back to a sensor at ``angle`` (rad) on the rim.
 
@@ -199,7 +199,7 @@ def reflected(pose, angle, walls, cylinders):
     return light / weights
 
 
-@njit(cache=True)
+@njit
 def saturated(light):
     """Return a reading (0..1) of light over full range: itself when small, 1 at most, smoothly."""
     if light <= 0.0:
@@ -207,7 +207,7 @@ def saturated(light):
     return light / (1.0 + light**KNEE) ** (1.0 / KNEE)
 
 
-@njit(cache=True)
+@njit
 def proximity(pose, angles, reach, threshold, offset, noises, drift, walls, cylinders, albedo, rng):
     """Return the sensors' readings, [8] int 0..1023.
 

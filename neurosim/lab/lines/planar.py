@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.commands import Commands, Number
+from neurosim.base.compiled import njit
 from neurosim.lab.nxt.body import Lamp
 from neurosim.robots.lines.protocol import Counter, Greeting
 
@@ -51,7 +51,7 @@ _DRIVES = {
 SLIP = 0.008
 
 
-@njit(cache=True)
+@njit
 def _advance(state, given, drives, car, bends, slip, until):
     """Advance to a time.
 

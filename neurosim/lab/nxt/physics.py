@@ -12,8 +12,8 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 
+from neurosim.base.compiled import njit
 from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.lab.nxt.params import BOARD, LabParams
 
@@ -91,21 +91,21 @@ def new_inputs() -> np.ndarray:
     return inputs
 
 
-@njit(cache=True)
+@njit
 def _normal(state):
     state[S.DRAWS] += 2.0
     last = np.uint64(state[S.SEED]) + np.uint64(state[S.DRAWS]) * GOLDEN
     return normal(uniform(last - GOLDEN), uniform(last))
 
 
-@njit(cache=True)
+@njit
 def begin_command(state, wheel, p):
     """Draw the random parts of a motor command: the wheel's slip and the caster's inclination."""
     state[S.SLIP + wheel] = p.slip_draw * _normal(state)
     state[S.CASTER_PUSH] = p.caster_draw * _normal(state)
 
 
-@njit(cache=True)
+@njit
 def _turn_wheel(state, inputs, wheel, p, h):
     """Advance a motor by ``h`` seconds; return its wheel's mean speed meanwhile (rad/s)."""
     speed, power, mode = state[S.SPEED + wheel], inputs[U.POWER + wheel], inputs[U.MODE + wheel]
@@ -160,7 +160,7 @@ def _turn_wheel(state, inputs, wheel, p, h):
     return turned / h
 
 
-@njit(cache=True)
+@njit
 def _ground_slip(x, y, field, p):
     """Return the slip of the ground at a point: the field on the board, a constant beyond it."""
     if abs(x) > _HALF_LENGTH or abs(y) > _HALF_WIDTH:
@@ -173,7 +173,7 @@ def _ground_slip(x, y, field, p):
     return p.slip_mean + (1.0 - b) * near + b * far
 
 
-@njit(cache=True)
+@njit
 def step(state, inputs, p, field, h):
     """Advance one robot by ``h`` seconds, in place.
 
@@ -225,7 +225,7 @@ def step(state, inputs, p, field, h):
     state[S.TIME] += h
 
 
-@njit(cache=True)
+@njit
 def advance(state, inputs, p, field, until):
     """Advance one robot to the time ``until``, in equal steps of at most :data:`STEP`.
 
@@ -247,7 +247,7 @@ def advance(state, inputs, p, field, until):
     return -1
 
 
-@njit(cache=True)
+@njit
 def displacements(state, commands, p, field, delay=0.0):
     """Drive a sequence of regulated commands without a brick or a camera.
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import OfTime
@@ -246,7 +246,7 @@ class VirtualWalker:
         return np.where(crossed.any(axis=1), RADIUS / elapsed, 0.0)
 
 
-@njit(cache=True)
+@njit
 def servo(
     commands: NDArray[np.float64], first: NDArray[np.float64], fraction: float, most: float
 ) -> NDArray[np.float64]:

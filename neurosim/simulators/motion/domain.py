@@ -12,9 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.base.threads import on_cores
 
 #: Commands may leave the ranges by this fraction of their width, or of as many rows' width,
@@ -181,7 +181,7 @@ def _nearest(points: NDArray, rows: NDArray, timed: int, stretch: NDArray) -> ND
     return distances
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _measure(
     points: NDArray,
     own: NDArray,
@@ -205,7 +205,7 @@ def _measure(
         distances[n] = math.sqrt(nearest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})
+@njit(nogil=True, error_model="numpy", fastmath={"nsz", "contract"})
 def _look_up(
     commands: NDArray,
     low: tuple[float, ...],

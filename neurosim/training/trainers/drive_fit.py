@@ -22,10 +22,10 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.compiled import njit
 from neurosim.base.kernels import kernel
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import (
@@ -142,7 +142,7 @@ class Actuators(NamedTuple):
         return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _distances(a, turning, modes, before, commanded, time, follows, row, until, features, within):
     """Write the features of the twists of pieces of commands, see :meth:`DriveModel.pieces`.
 
@@ -174,7 +174,7 @@ def _distances(a, turning, modes, before, commanded, time, follows, row, until, 
         _cut(a, turning, begins, goals, time[i], law, distance, reached, features[:, :, i])
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _cut(a, turning, begins, goals, time, law, distance, reached, features):
     """Cut a command into pieces of constant twist.
 
@@ -814,7 +814,7 @@ def regressions(
     return weights, Errors(error, size if size.shape[1] == 1 else size[:, kind], weight)
 
 
-@njit(error_model="numpy", cache=True, fastmath={"contract", "reassoc", "nsz"})
+@njit(error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def _regress(features, target, near_zero, weight, kind, weights, error, size, products, student):
     """Write the results of :func:`regressions`: weights [P, F], errors [P, N], sizes [P, kinds].
 

@@ -13,9 +13,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from neurosim.base.compiled import njit
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import Underway
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
@@ -131,7 +131,7 @@ def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor
     return (*of, torch.stack(moves))
 
 
-@njit(error_model="numpy", cache=True)
+@njit(error_model="numpy")
 def _driven(a, turning, modes, commanded, before, time, joined, features, lasts, row, states):
     """Drive rows one after the other.
 
