@@ -62,6 +62,14 @@ def test_a_line_with_another_byte_is_none(text, data):
     assert decode(other) is None or other.lower() == line.lower()
 
 
+def test_a_checksum_has_four_digits():
+    assert encode("1 ") == b"1 *0FC9\n"
+    assert decode(b"1 *0fc9") == ["1"]
+    assert [decode(b"1 *" + digits) for digits in (b"+FC9", b" FC9", b"FC9", b"0_FC9")] == [
+        None
+    ] * 4
+
+
 def test_a_greeting_is_read_as_it_is_written():
     greeting = Greeting(
         "car",

@@ -119,12 +119,12 @@ class Lines : public Print {
   }
 
   void carryOut() {
-    char *star = strrchr(line, '*'), *rest = nullptr;
+    char *star = strrchr(line, '*');
     if (star) {
       uint16_t found = 0xFFFF;
       for (char *at = line; at < star; at++) found = added(found, *at);
-      bool right = strlen(star) == 5 && strtoul(star + 1, &rest, 16) == found && !*rest;
-      if (!right) return refuse("checksum");
+      bool hex = strlen(star) == 5 && strspn(star + 1, "0123456789ABCDEFabcdef") == 4;
+      if (!hex || strtoul(star + 1, nullptr, 16) != found) return refuse("checksum");
       *star = 0;
     }
     char *word = strtok(line, " ");

@@ -42,13 +42,9 @@ def decimal(value: float) -> str:
 def decode(line: bytes) -> list[str] | None:
     """Return the words of a line without its end; None if its checksum is missing or wrong."""
     text, star, digits = line.rpartition(b"*")
-    if not star or len(digits) != 4:
+    if not star or digits.upper() != b"%04X" % checksum(text) or not text.isascii():
         return None
-    try:
-        right = int(digits, 16) == checksum(text)
-        return text.decode("ascii").split() if right else None
-    except ValueError:
-        return None
+    return text.decode("ascii").split()
 
 
 @dataclass(frozen=True)
