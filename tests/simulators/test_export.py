@@ -6,7 +6,7 @@ import pytest
 import torch
 from click.testing import CliRunner
 from exported import drive, given, ours, printed_by_page, random_plans
-from motion_networks import noise_model, random_motion_network
+from motion_networks import drive_model, noise_model, random_motion_network
 from simulators_of_tests import tables
 
 from neurosim.base.errors import UserError
@@ -64,8 +64,11 @@ def test_gradients_flow_through_the_program(exported):
 
 
 @pytest.mark.slow
-def test_the_page_runs_without_neurosim(exported):
-    simulator, folder, _ = exported
+def test_the_page_runs_without_neurosim(tmp_path):
+    # PyTorch reads the program of a robot without a delay in a third of the time.
+    prompt = drive_model(5, delay=torch.zeros(1, dtype=torch.float64))
+    simulator, folder = random_motion_network(5, drives=prompt), tmp_path / "program"
+    export(simulator, folder, "torch")
     about = json.loads((folder / "export.json").read_text())
     assert about["state"] == list(simulator.state_names)
     assert [one["name"] for one in about["command"]] == list(simulator.command_names)

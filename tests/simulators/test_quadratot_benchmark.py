@@ -77,13 +77,13 @@ def test_a_record_that_is_not_there_is_said(tmp_path):
 @pytest.mark.slow
 def test_l3_brings_the_simulator_closer_to_the_trials_that_it_compares(few):
     pytest.importorskip("cma", reason="pip install 'neurosim[cma]'")
-    simulated = few.simulated
-    result = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
-    again = benchmark.adapted(simulated, few.trials, seed=0, generations=2)
+    simulated, trials = few.simulated, benchmark.Trials(*(part[:5] for part in few.trials))
+    result = benchmark.adapted(simulated, trials, seed=0, generations=2)
+    again = benchmark.adapted(simulated, trials, seed=0, generations=2)
     np.testing.assert_array_equal(result, again)
     assert ((result >= 0) & (result <= 1)).all()
     apart = [
-        np.linalg.norm(benchmark.predicted(simulated, few.trials, one) - few.trials.roots)
+        np.linalg.norm(benchmark.predicted(simulated, trials, one) - trials.roots)
         for one in (simulated.as_is, result)
     ]
     assert apart[1] < 0.95 * apart[0]
