@@ -130,7 +130,7 @@ class Perimeter(Checked):
             Poses [K, 3] at the end of each interval, or where the robot was stopped.
         """
         poses = np.array(after, np.float64)
-        seconds = np.ascontiguousarray(np.broadcast_to(np.asarray(duration, float), len(after)))
+        seconds = np.full(len(after), duration, np.float64)
         board = self.board
         sensors = np.array(self.sensors, np.float64).reshape(-1, 2)
         margin = math.nan if self.margin is None else self.margin

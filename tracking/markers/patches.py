@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from neurosim.base.compiled import njit
+from neurosim.base.kernels import kernel, smallest
 
 #: Chroma across the marker's hue that is tolerated, as a fraction of that along it: 34 degrees.
 ACROSS = 1.5
@@ -59,7 +60,7 @@ def read_patch(frame, u, v, reach, blue_gain, red_gain, passes):
     return plane, luma, left, top
 
 
-@njit(nogil=True)
+@kernel()
 def _smooth_down(channel):
     """Weigh each pixel [H, W] with those above and below it, 1 2 1, in place."""
     for j in range(channel.shape[1]):
@@ -84,26 +85,26 @@ def mean_luma(frame, u, v, radius):
     return total / count if count else math.nan
 
 
-@njit(nogil=True)
+@kernel()
 def _member(alpha, beta, p, q, chroma):
     """See :meth:`tracking.markers.markers.Look.membership`."""
     along, across = p * alpha + q * beta, p * beta - q * alpha
     return min(max(((along - ACROSS * abs(across)) / chroma - 0.25) / 0.35, 0.0), 1.0)
 
 
-@njit(nogil=True)
+@kernel()
 def _disc(i, j, u, v, radius):
     """Return 1 within a radius, 0 without, soft over one pixel."""
     return min(max(radius + 0.5 - math.sqrt((j - u) ** 2 + (i - v) ** 2), 0.0), 1.0)
 
 
-@njit(nogil=True)
+@kernel()
 def _span(middle, radius, size):
     """Return the first pixel, and that after the last, in which a disc may be other than 0."""
     return max(0, math.floor(middle - radius)), min(size, math.ceil(middle + radius) + 1)
 
 
-@njit(nogil=True)
+@kernel()
 def _centroid(member, u, v, radius):
     total = across = down = 0.0
     top, bottom = _span(v, radius, member.shape[0])
@@ -182,7 +183,7 @@ def _length(member, u, v, radius):
     return math.sqrt(3.0 * (mean + math.sqrt(half**2 + uv**2)) / total)
 
 
-@njit(nogil=True)
+@kernel()
 def _plain(plane, u, v, radius, p, q, chroma):
     """Return whether a marker is coloured in its middle as well, without a white dot."""
     total = along = 0.0
@@ -196,7 +197,7 @@ def _plain(plane, u, v, radius, p, q, chroma):
     return along > 0.6 * chroma * total
 
 
-@njit(nogil=True)
+@kernel()
 def _foreign(plane, member, u, v, chroma):
     """Return whether (u, v) is of another colour: neither the marker's own, nor white or grey."""
     i, j = round(v), round(u)
@@ -227,7 +228,7 @@ def _without_glare(member, luma, u, v, radius, backing):
     return member, luma
 
 
-@njit(nogil=True)
+@kernel()
 def _brightest(plane, luma, u, v, radius, reach, full, dead, p, q, chroma, light, backing):
     """Return the centroid of the marker's light within reach of itself, and its sum."""
     dark = backing + dead * light
@@ -322,6 +323,7 @@ def read_look(plane, luma, u, v, radius, p, q, chroma, light, backing):
     """Measure a marker's look in a patch, from a rough look: direction, chroma, light."""
     total = alpha = beta = lit = 0.0
     coloured = np.empty((luma.size, 2), np.float32)
+    along = np.empty(luma.size, np.float32)
     count = 0
     top, bottom = _span(v, radius, luma.shape[0])
     left, right = _span(u, radius, luma.shape[1])
@@ -342,5 +344,7 @@ def read_look(plane, luma, u, v, radius, p, q, chroma, light, backing):
         return p, q, chroma, light
     length = max(math.hypot(alpha, beta), 1e-6)
     p, q = alpha / length, beta / length
-    along = np.sort(p * coloured[:count, 0] + q * coloured[:count, 1])
-    return p, q, max(float(along[count * 3 // 4]), 1.0), max(lit / total - backing, 1.0)
+    for n in range(count):
+        along[n] = p * coloured[n, 0] + q * coloured[n, 1]
+    chroma = max(float(smallest(along, count, count * 3 // 4)), 1.0)
+    return p, q, chroma, max(lit / total - backing, 1.0)

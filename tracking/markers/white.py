@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.compiled import njit
+from neurosim.base.kernels import kernel, smallest
 from tracking.markers.colours import NO_CAST
 
 #: Pixels that are examined along the picture's width.
@@ -67,35 +68,43 @@ class Cast:
         return self.white
 
 
+@kernel()
+def _ends(pixel):
+    """Return the least and the largest of three channels."""
+    return min(pixel[0], pixel[1], pixel[2]), max(pixel[0], pixel[1], pixel[2])
+
+
 @njit(nogil=True)
 def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
-    """Return the number of usable pixels, and the median gains of green over the others."""
+    """Return the number of usable pixels, and the lower median gains of green over the others."""
     gained = np.empty((2, len(grid)), np.float32)
     count = 0
     for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
-        low, high = min(now.min(), then.min()), max(now.max(), then.max())
-        if low > _DARK and high < _CLIPPED:
+        (low, high), (low_then, high_then) = _ends(now), _ends(then)
+        if min(low, low_then) > _DARK and max(high, high_then) < _CLIPPED:
             green = now[1] / then[1]
             gained[0, count] = green / (now[0] / then[0])
             gained[1, count] = green / (now[2] / then[2])
             count += 1
     if count == 0:
         return 0, 1.0, 1.0
-    return count, np.median(gained[0, :count]), np.median(gained[1, :count])
+    middle = (count - 1) // 2
+    return count, smallest(gained[0], count, middle), smallest(gained[1], count, middle)
 
 
 @njit(nogil=True)
 def _dimmed(grid: NDArray, before: NDArray) -> tuple[int, float]:
-    """Return the number of lit pixels, and the median ratio of their light to that before."""
+    """Return the number of lit pixels, and the lower median of their light over that before."""
     fractions = np.empty(len(grid), np.float32)
     count = 0
     for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
-        if then.max() > _LIT and max(now.max(), then.max()) < _CLIPPED:
-            fractions[count] = now.sum() / then.sum()
+        (_, high), (_, high_then) = _ends(now), _ends(then)
+        if high_then > _LIT and max(high, high_then) < _CLIPPED:
+            fractions[count] = (now[0] + now[1] + now[2]) / (then[0] + then[1] + then[2])
             count += 1
     if count == 0:
         return 0, 1.0
-    return count, np.median(fractions[:count])
+    return count, smallest(fractions, count, (count - 1) // 2)
 
 
 def _grid(frame: NDArray) -> NDArray:

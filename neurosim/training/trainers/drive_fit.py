@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.compiled import njit
-from neurosim.base.kernels import kernel
+from neurosim.base.kernels import kernel, smallest
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import (
     CURVES,
@@ -866,7 +866,7 @@ def _regress(features, target, near_zero, weight, kind, weights, error, size, pr
                         place += 1
                 if place:
                     # The median is 0.67 standard deviations of a normal distribution.
-                    size[p, k] = max(1.4826 * _median(magnitude, place), 1e-9)
+                    size[p, k] = max(1.4826 * smallest(magnitude, place, (place - 1) // 2), 1e-9)
             if step == 0:
                 # By such a term alone, the target would have ``products`` of its size or less.
                 for i in range(terms):
@@ -881,32 +881,6 @@ def _regress(features, target, near_zero, weight, kind, weights, error, size, pr
                 else:
                     inside = min(_HUBER / max(off, 1e-12), 1.0)
                 counts[n] = weight[n] * inside / size[p, kind[n]] ** 2
-
-
-@kernel()
-def _median(values, count):
-    """Return the lower median of the first values, which it reorders (Hoare 1961, Algorithm 65).
-
-    ``np.partition`` takes ten seconds to compile.
-    """
-    wanted, low, high = (count - 1) // 2, 0, count - 1
-    while low < high:
-        pivot, i, j = values[(low + high) // 2], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        if wanted <= j:
-            high = j
-        elif wanted >= i:
-            low = i
-        else:
-            break
-    return values[wanted]
 
 
 @kernel()
