@@ -1,4 +1,4 @@
-"""Compiles the functions that a demo needs later, while it records: runs later stages, in small.
+"""Compiles the functions that a demo needs later, before it does: runs its stages, in small.
 
 It runs in another process, ``python -m neurosim.cli._ahead``, which prints a line when the
 functions of evolution are compiled. It ends with the process that started it, because its standard
@@ -70,12 +70,13 @@ def _make_rows(out: Path) -> None:
 
 
 def main(evolved: Callable[[], None]) -> None:
-    """Run the stages of a demo after its recording, with a few rows.
+    """Film the virtual robot once, and run the stages of a demo after its recording on a few rows.
 
     Args:
         evolved: called when the functions of evolution are compiled.
     """
     from neurosim.controllers import make_controller, read_controller
+    from neurosim.lab import VirtualRig
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
@@ -85,6 +86,8 @@ def main(evolved: Callable[[], None]) -> None:
         folder = Path(name)
         dataset, simulator, controller = (folder / n for n in ("dataset", "simulator", "plan"))
         compile_loops()
+        with VirtualRig(0, camera_size=(320, 240)) as rig:
+            rig.camera.render(np.zeros(3))
         _make_rows(dataset)
         _run("train", dataset, "-o", simulator)
         evolve = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
