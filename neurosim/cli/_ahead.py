@@ -76,7 +76,8 @@ def main(evolved: Callable[[], None]) -> None:
         evolved: called when the functions of evolution are compiled.
     """
     from neurosim.controllers import make_controller, read_controller
-    from neurosim.lab import VirtualRig
+    from neurosim.lab.camera.camera import RoofCamera
+    from neurosim.lab.camera.optics import CameraParams
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
@@ -86,8 +87,7 @@ def main(evolved: Callable[[], None]) -> None:
         folder = Path(name)
         dataset, simulator, controller = (folder / n for n in ("dataset", "simulator", "plan"))
         compile_loops()
-        with VirtualRig(0, camera_size=(320, 240)) as rig:
-            rig.camera.render(np.zeros(3))
+        RoofCamera(CameraParams(size=(320, 240)), 0).render(np.zeros(3))
         _make_rows(dataset)
         _run("train", dataset, "-o", simulator)
         evolve = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from tracking.markers.colours import NO_CAST, Colour, chroma_plane
 from tracking.markers.noise import noise_of, smooth
-from tracking.markers.patches import ACROSS, darkest, measure_marker, read_look, read_patch
+from tracking.markers.patches import (
+    ACROSS,
+    darkest,
+    mean_luma,
+    measure_marker,
+    read_look,
+    read_patch,
+)
 from tracking.markers.white import Cast
 
 #: Less chroma than this (of 255) is a grey.
@@ -249,6 +256,7 @@ def compile_loops() -> None:
     frame = np.zeros((16, 16, 3), np.uint8)
     blob = Blob(np.array([8.0, 8.0]), 12.0, 0.0, 50.0, 1.0)
     measure(frame, blob.centre, blob.radius, learn(frame, blob), 3.0)
+    mean_luma(frame, 8.0, 8.0, 3.0)
     Cast(frame).update(frame)
 
 
