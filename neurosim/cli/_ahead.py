@@ -76,8 +76,8 @@ def main(evolved: Callable[[], None]) -> None:
         evolved: called when the functions of evolution are compiled.
     """
     from neurosim.controllers import make_controller, read_controller
+    from neurosim.lab import CameraParams
     from neurosim.lab.camera.camera import RoofCamera
-    from neurosim.lab.camera.optics import CameraParams
     from neurosim.loop.replan import Replanner, ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
