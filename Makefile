@@ -8,8 +8,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-# Processes that run tests: three keep two cores busy, because many tests wait for others.
-WORKERS ?= 3
+# Processes that run tests: four keep two cores busy, because many tests wait for others.
+WORKERS ?= 4
 
 # Without stored bytecode, each worker and each process that a test starts compiles all sources.
 unexport PYTHONDONTWRITEBYTECODE

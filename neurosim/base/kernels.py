@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from numpy.typing import NDArray
+
 from neurosim.base.compiled import njit
 
 
@@ -25,7 +27,7 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
 
 
 @kernel()
-def smallest(values, count, rank):
+def smallest(values: NDArray, count: int, rank: int) -> Any:
     """Return the value of a rank, from 0, among the first ones, which it reorders.
 
     Numba takes some seconds to compile ``np.sort`` or ``np.median``, and ten for ``np.partition``.
