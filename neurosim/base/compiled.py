@@ -6,6 +6,7 @@ import atexit
 import functools
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -97,14 +98,17 @@ def njit(function: Callable | None = None, /, *, cache: bool = True, **options: 
 
     compiled = numba.njit(cache=cache, **options)(function)
     if cache and isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT leaves the function
-        name = f"{function.__module__}.{function.__qualname__}.lock".replace("<locals>.", "")
-        lock = FileLock(Path(os.environ["NUMBA_CACHE_DIR"]) / name)
-        compile_here = compiled.compile
+        name = re.sub("[<>]", "", f"{function.__module__}.{function.__qualname__}.lock")
+        path, compile_here = Path(os.environ["NUMBA_CACHE_DIR"]) / name, compiled.compile
+
+        @functools.cache
+        def lock_of(process: int) -> Any:
+            return FileLock(path)  # a process that was forked has a lock of its own
 
         def compile_once(signature: Any) -> Any:
             # Numba's own lock comes first: so no thread waits for a file that another one's
             # function needs.
-            with global_compiler_lock, lock:
+            with global_compiler_lock, lock_of(os.getpid()):
                 return compile_here(signature)
 
         vars(compiled)["compile"] = compile_once

@@ -114,3 +114,17 @@ def test_of_two_processes_that_need_a_function_one_compiles_it(tmp_path):
             lines += first.stdout.readlines()
             assert second.stdout.readlines() == ["2\n"]
     assert lines == ["needs it\n", "compiles\n", "2\n"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no fork")
+def test_a_forked_process_compiles_too():
+    f = compiled.njit(lambda x: x + 1)
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            code = f(1)
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 2
+    assert f(1) == 2
