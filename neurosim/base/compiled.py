@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import hashlib
 import os
@@ -18,6 +19,8 @@ from filelock import FileLock
 
 #: Beginning of the names of machine code folders; a digest of the sources follows.
 _PREFIX = "neurosim-compiled-"
+#: So long a process waits for another one that compiles a function, s.
+_PATIENCE = 120.0
 
 
 #: Folders of sources for which :func:`keep_compiled` has not been called yet.
@@ -103,12 +106,16 @@ def njit(function: Callable | None = None, /, *, cache: bool = True, **options: 
 
         @functools.cache
         def lock_of(process: int) -> Any:
-            return FileLock(path)  # a process that was forked has a lock of its own
+            # A process that was forked has a lock of its own.
+            return FileLock(path, timeout=_PATIENCE)
 
         def compile_once(signature: Any) -> Any:
             # Numba's own lock comes first: so no thread waits for a file that another one's
             # function needs.
-            with global_compiler_lock, lock_of(os.getpid()):
+            with global_compiler_lock, contextlib.ExitStack() as held:
+                # The other process may be suspended, and not every file system has locks.
+                with contextlib.suppress(OSError, NotImplementedError):
+                    held.enter_context(lock_of(os.getpid()))
                 return compile_here(signature)
 
         vars(compiled)["compile"] = compile_once

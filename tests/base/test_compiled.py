@@ -128,3 +128,19 @@ def test_a_forked_process_compiles_too():
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 2
     assert f(1) == 2
+
+
+@pytest.mark.parametrize("error", [NotImplementedError, TimeoutError])
+def test_where_a_lock_cannot_be_had_each_process_compiles(monkeypatch, error):
+    class Lock:
+        def __init__(self, path, timeout):
+            assert 10 < timeout < 600
+
+        def __enter__(self):
+            raise error
+
+        def __exit__(self, *error):
+            raise AssertionError
+
+    monkeypatch.setattr(compiled, "FileLock", Lock)
+    assert compiled.njit(lambda x: x + 1)(1) == 2
