@@ -15,8 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
-
 #: Beginning of the names of machine code folders; a digest of the sources follows.
 _PREFIX = "neurosim-compiled-"
 #: So long a process waits for another one that compiles a function, s.
@@ -96,6 +94,7 @@ def njit(function: Callable | None = None, /, *, cache: bool = True, **options: 
     if function is None:
         return functools.partial(njit, cache=cache, **options)
     import numba
+    from filelock import FileLock
     from numba.core.compiler_lock import global_compiler_lock
     from numba.core.dispatcher import Dispatcher
 

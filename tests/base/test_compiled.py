@@ -4,6 +4,7 @@ import sys
 import time
 from pathlib import Path
 
+import filelock
 import pytest
 
 from neurosim.base import compiled
@@ -142,5 +143,5 @@ def test_where_a_lock_cannot_be_had_each_process_compiles(monkeypatch, error):
         def __exit__(self, *error):
             raise AssertionError
 
-    monkeypatch.setattr(compiled, "FileLock", Lock)
+    monkeypatch.setattr(filelock, "FileLock", Lock)
     assert compiled.njit(lambda x: x + 1)(1) == 2
