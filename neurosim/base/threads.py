@@ -60,9 +60,11 @@ def one_core(wanted: bool = True) -> Iterator[None]:
     On a machine with other busy programs, a second core may cost a time slice of the scheduler,
     which is more than the whole work.
     """
+    if not wanted:
+        yield
+        return
     threads = numba.get_num_threads()
-    if wanted:
-        numba.set_num_threads(1)
+    numba.set_num_threads(1)
     try:
         yield
     finally:

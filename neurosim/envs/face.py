@@ -30,7 +30,7 @@ from neurosim.networks.control import (
 )
 from neurosim.networks.control_kernels import closed_loop, observe
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Interval, Judgement, Task
+from neurosim.tasks.base import Interval, Judgement, Records, Task
 
 #: Observed positions reach so far beyond the outline of simulator and task, m.
 BEYOND = 0.5
@@ -50,8 +50,8 @@ class Face:
         names: of the columns of an observation.
         outputs: of the columns of an action.
         reads: whether the sensors must be read.
-        record: [B, W] of the task, one for each trial.
-        judged: the present fitness of the trials.
+        records: of the task, one for each trial.
+        progress: [B] of the trials at their last step.
     """
 
     def __init__(
@@ -86,8 +86,8 @@ class Face:
         seen = any(name not in NOT_READINGS for name in self.names)
         self.reads = bool(simulator.reading_names) and (seen or self.episode.readings)
         self.action_space, self.observation_space = self._actions(), self._observations()
-        self.record = task.new_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
-        self.judged: Judgement = task.score(self.record)
+        self.records = Records(task, np.tile(np.asarray(task.start, np.float64), (count, 1)))
+        self.progress = self.records.score().progress
         sources = input_sources(self.names, simulator.reading_names)
         # Only the inputs of this network are used.
         shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
@@ -117,8 +117,8 @@ class Face:
 
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
-        self.record[rows] = self.task.new_record(poses)
-        self.judged = self.task.score(self.record)
+        self.records.begin(rows, poses)
+        self.progress[rows] = self.records.score(rows).progress
         self._goal[rows] = 0
 
     def observation(
@@ -189,10 +189,14 @@ class Face:
     def add(self, rows: Rows, interval: Interval) -> None:
         """Add an interval to K trials; a duration may follow the commands."""
         assert interval.commands is not None
-        record = self.record[rows]
-        self.task.add(record, interval._replace(commands=interval.commands[:, : len(self.outputs)]))
-        self.record[rows] = record
-        self.judged = self.task.score(self.record)
+        own = interval._replace(commands=interval.commands[:, : len(self.outputs)])
+        self.records.add(own, rows)
+
+    def judged(self) -> tuple[NDArray[np.float64], Judgement]:
+        """Return the rewards [B], the growth of progress since the last step; and the fitness."""
+        judged = self.records.score()
+        rewards, self.progress = judged.progress - self.progress, judged.progress.copy()
+        return rewards, judged
 
 
 def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:

@@ -199,7 +199,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         drive_for(self.robot, command, episode.step)
         missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
         self._due = (now if missed else due) + episode.step
-        before, readings = face.judged.progress, self._readings
+        readings = self._readings
         clock.sleep_until(self._due)
         self._look()
         every = slice(None)
@@ -207,7 +207,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             every, Interval(self._pose[None], episode.step, commands=commands, readings=readings)
         )
         self._steps += 1
-        decided = bool(face.judged.over[0])
+        decided = bool(face.records.over()[0])
         late = self._steps >= episode.steps and not decided
         info: dict[str, Any] = {}
         if decided or late:
@@ -221,16 +221,18 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                     self._pose[None], episode.rest, False, commands=still, readings=readings
                 )
                 face.add(every, moved)
+        reward, judged = face.judged()
+        if decided or late:
             self._begun = False
             info = {
-                "is_success": bool(face.judged.success[0]),
-                "progress": float(face.judged.progress[0]),
+                "is_success": bool(judged.success[0]),
+                "progress": float(judged.progress[0]),
                 "missed_deadlines": self._deadlines.missed,
             }
         if self._picture is not None:
             self._picture.add(self._pose[None])
         self._show()
-        return self._see(), float(face.judged.progress[0] - before[0]), decided, late, info
+        return self._see(), float(reward[0]), decided, late, info
 
     def _look(self) -> None:
         """Read the sensors and the pose; a robot that is not seen keeps its last pose."""

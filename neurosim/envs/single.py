@@ -96,13 +96,12 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._begun:
             raise UserError("no trial has begun: call reset() before step()")
         commands = self.trials.face.checked(action)
-        reward, decided, late = self.trials.step(commands)
+        reward, decided, late, judged = self.trials.step(commands)
         over = bool(decided[0] or late[0])
         self._begun = not over
         if self._picture is not None:
             self._picture.add(self.trials.poses)
             self._show()
-        judged = self.trials.face.judged
         info: dict[str, Any] = {}
         if over:
             info = {"is_success": bool(judged.success[0]), "progress": float(judged.progress[0])}

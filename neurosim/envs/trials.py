@@ -13,7 +13,7 @@ from neurosim.envs.face import Face, Rows
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, Stepper, placed
-from neurosim.tasks.base import Interval, Task
+from neurosim.tasks.base import Interval, Judgement, Task
 
 #: Number of samples, and of steps of noise, drawn at once: a call takes longer than the numbers.
 BLOCK = 16
@@ -83,27 +83,36 @@ class Noise:
     def __init__(self, stepper: Stepper, count: int):
         self._stepper = stepper
         self.seeds, self._steps = np.zeros(count, np.uint64), np.zeros(count, np.int64)
-        self._numbers = stepper.noises(self.seeds, self._steps, BLOCK + 2)
-        self._now = 0
+        self._draw()
 
     def begin(self, rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> NDArray:
         """Begin rows [K] with new seeds [K]; return the noise [K, Z] of their first step."""
         self.seeds[rows], self._steps[rows] = seeds, 0
         count = BLOCK + 2 - self._now
-        self._numbers[rows, self._now :] = self._stepper.noises(seeds, self._steps[rows], count)
-        return self._numbers[rows, self._now]
+        numbers = self._stepper.noises(seeds, self._steps[rows], count)
+        self._pairs[self._now :, rows] = _pairs(numbers)
+        return numbers[:, 0]
 
     def two(self, rows: Rows) -> NDArray:
         """Return the noise [K, 2, Z] of rows' present step and of the next."""
-        return self._numbers[rows, self._now : self._now + 2]
+        return self._pairs[self._now, rows]
 
     def go_on(self) -> None:
         """Advance all rows by a step."""
         self._steps += 1
         self._now += 1
         if self._now > BLOCK:
-            self._numbers = self._stepper.noises(self.seeds, self._steps, BLOCK + 2)
-            self._now = 0
+            self._draw()
+
+    def _draw(self) -> None:
+        self._pairs = _pairs(self._stepper.noises(self.seeds, self._steps, BLOCK + 2))
+        self._now = 0
+
+
+def _pairs(numbers: NDArray) -> NDArray:
+    """Return noise [K, N, Z] as pairs of a step and the next, [N - 1, K, 2, Z]."""
+    pairs = np.stack([numbers[:, :-1], numbers[:, 1:]], axis=2)
+    return np.ascontiguousarray(pairs.swapaxes(0, 1))
 
 
 class Trials:
@@ -172,7 +181,7 @@ class Trials:
 
     def step(
         self, commands: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Judgement]:
         """Advance all trials.
 
         A trial ends when its result is decided, or its time is over. If the task says so, the
@@ -183,27 +192,27 @@ class Trials:
 
         Returns:
             Rewards [B], the growth of the task's progress; whether each trial is decided, and
-            whether its time is over, [B] bool each.
+            whether its time is over, [B] bool each; and the trials' fitness.
         """
         with one_core(len(self) < WORTH_SHARING):
             return self._step(commands)
 
     def _step(
         self, commands: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Judgement]:
         face, episode = self.face, self.face.episode
-        before = face.judged.progress
         self._go_on(slice(None), commands, episode.step, True)
         if self._noise is not None:
             self._noise.go_on()
-        decided = face.judged.over
+        decided = face.records.over()
         late = (self._steps >= episode.steps) & ~decided
         ended = decided | late
         if episode.rest > 0 and ended.any():
             rows = np.flatnonzero(ended)
             still = np.zeros((len(rows), len(self.face.outputs)))
             self._go_on(rows, self.face.lasting(still, episode.rest), episode.rest, False)
-        return face.judged.progress - before, decided, late
+        rewards, judged = face.judged()
+        return rewards, decided, late, judged
 
     def _go_on(
         self, rows: Rows, commands: NDArray[np.float64], duration: float, active: bool

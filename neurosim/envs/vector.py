@@ -19,7 +19,7 @@ from neurosim.envs.single import CLOSED, made
 from neurosim.envs.trials import Trials
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING
-from neurosim.tasks.base import Task
+from neurosim.tasks.base import Judgement, Task
 
 Stepped = tuple[
     NDArray[np.float32],
@@ -167,14 +167,14 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
                 f"environment {int(again.argmax())} has ended its trial: call "
                 'reset(options={"reset_mask": ...}) before step()'
             )
-        rewards, decided, late = self.trials.step(self.trials.checked(actions, again))
+        rewards, decided, late, judged = self.trials.step(self.trials.checked(actions, again))
         if self._picture is not None:
             self._picture.add(self.trials.poses)
         self._seen = self.trials.see()
         if again.any():  # NEXT_STEP: these trials were over
             rewards[again], decided[again], late[again] = 0.0, False, False
         ended = decided | late
-        infos = self._infos(ended)
+        infos = _infos(judged, ended) if ended.any() else {}
         if again.any():
             self._begin(np.flatnonzero(again))
         self._ended = ended
@@ -187,17 +187,6 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
             infos |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
             self._begin(rows)
         return self._seen.copy(), rewards, decided, late, infos
-
-    def _infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        if not ended.any():
-            return {}
-        judged = self.trials.face.judged
-        return {
-            "is_success": judged.success & ended,
-            "_is_success": ended.copy(),
-            "progress": np.where(ended, judged.progress, 0.0),
-            "_progress": ended.copy(),
-        }
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
         """Return a picture [height, width, 3] of each trial so far.
@@ -218,3 +207,12 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
     def _check_open(self) -> None:
         if self.closed:
             raise UserError(CLOSED)
+
+
+def _infos(judged: Judgement, ended: NDArray[np.bool_]) -> dict[str, Any]:
+    return {
+        "is_success": judged.success & ended,
+        "_is_success": ended.copy(),
+        "progress": np.where(ended, judged.progress, 0.0),
+        "_progress": ended.copy(),
+    }

@@ -31,7 +31,7 @@ from neurosim.loop.search import Search, new_optimiser
 from neurosim.loop.settings import EvolveSettings
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import placed
-from neurosim.tasks.base import Interval, Judgement, Task
+from neurosim.tasks.base import Interval, Judgement, Records, Task
 
 
 class Clock(Protocol):
@@ -308,19 +308,18 @@ def _tuple(pose: NDArray[np.float64]) -> tuple[float, ...]:
 class _Onward(Evaluator):
     """Judges the rest of plans, from the present pose and after the commands so far."""
 
-    _record: NDArray[np.float64] | None = None
+    _earlier: Records | None = None
 
     def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
         """Set the state [S], after poses [K + 1, 3] and commands [K, C]."""
-        self._state, self._record = state, None
+        self._state, self._earlier = state, None
         if len(commands):
-            record = self.task.new_record(poses[:1])
+            self._earlier = Records(self.task, poses[:1])
             for pose, command in zip(poses[1:, None], commands[:, None], strict=True):
-                self.task.add(record, Interval(pose, command[:, -1], commands=command))
-            self._record = record[0]
+                self._earlier.add(Interval(pose, command[:, -1], commands=command))
 
     def scored(self, trajectory: Trajectory) -> Judgement:
-        return self.task.judge(trajectory, self._record)
+        return self.task.judge(trajectory, self._earlier)
 
     @contextmanager
     def threads_for(self, individuals: int) -> Iterator[None]:

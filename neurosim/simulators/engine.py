@@ -347,11 +347,12 @@ class CompiledRollouts(ThreadSafe):
 
 
 class CompiledStepper(Stepper):
-    """Steps batches in compiled code, on all cores."""
+    """Steps batches in compiled code, on all cores; for one thread at a time."""
 
     def __init__(self, simulator: Any):
         super().__init__(simulator)
         self._model, self._works = simulator.compiled(), list[Any]()
+        self._plans: dict[int, Pilot] = {}  # by their number of steps
         functions_of(self._model)  # raises an error if there are none
 
     def step(
@@ -359,7 +360,7 @@ class CompiledStepper(Stepper):
     ) -> NDArray[np.float64]:
         """Return the states [B, S] after commands [B, C]."""
         z = None if noise is None else noise[:, None]
-        return self._after(state, command, z, 1)[0]
+        return self._drive(self._plan(command, 1), state, z)[0]
 
     def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
         """Return the readings [B, R] in 0..1, float32."""
@@ -371,20 +372,19 @@ class CompiledStepper(Stepper):
         self, state: NDArray[np.float64], command: NDArray[np.float64], noises: NDArray | None
     ) -> tuple[NDArray[np.float64], NDArray]:
         """Return the states [B, S] after commands [B, C], and their readings [B, R], float32."""
-        return self._after(state, command, noises, 2)
+        return self._drive(self._plan(command, 2), state, noises)
 
-    def _after(
-        self,
-        state: NDArray[np.float64],
-        command: NDArray[np.float64],
-        z: NDArray | None,
-        steps: int,
-    ) -> tuple[NDArray[np.float64], NDArray]:
-        """Drive a plan of one command; sensors are read before the null command that may follow."""
-        commands = np.empty((len(state), steps, command.shape[1]))
-        commands[:, 0], given = command, np.zeros((len(state), steps), np.bool_)
-        given[:, 0] = True
-        return self._drive(open_loop(commands, given, 1), state, z)
+    def _plan(self, command: NDArray[np.float64], steps: int) -> Pilot:
+        """Return a plan of a command; sensors are read before the null command that may follow."""
+        rows = len(command)
+        if steps not in self._plans or len(self._plans[steps].given) < rows:
+            given = np.zeros((rows, steps), np.bool_)
+            given[:, 0] = True
+            self._plans[steps] = open_loop(np.zeros((rows, steps, command.shape[1])), given, 1)
+        plan = self._plans[steps]
+        commands = plan.commands[:rows]
+        commands[:, 0] = command
+        return plan._replace(commands=commands, given=plan.given[:rows])
 
     def _drive(
         self, pilot: Pilot, state: NDArray[np.float64], z: NDArray | None

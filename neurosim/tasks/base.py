@@ -2,9 +2,9 @@
 
 A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a record of each
 trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` gives the fitness if the
-trial ends there. Environments advance records while trials run; :meth:`Task.judge` advances
-them over whole trajectories. If the place has a perimeter, :meth:`Task.new_record`,
-:meth:`Task.add` and :meth:`Task.score` also end a trial where the guard of a real drive ends it.
+trial ends there. :class:`Records` of environments advance while trials run; :meth:`Task.judge`
+advances them over whole trajectories. If the place has a perimeter, they also end a trial where the
+guard of a real drive ends it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from neurosim.base.place import Place
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import InPlace, Sensing, Simulator
 
-#: Columns of a record that the guard adds; see :meth:`Task.new_record`.
-_GUARD = 4
+#: All rows of a batch.
+EVERY = slice(None)
 
 
 class Interval(NamedTuple):
@@ -240,30 +240,6 @@ class Task(Checked):
         """Return the words for a failure, by its index in a judgement; they follow "the robot"."""
         return (*self.reasons, *ENDS)[reason]
 
-    def new_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return records of trials that begin at poses [K, 3], for :meth:`add` and :meth:`score`.
-
-        They are [K, W] from :meth:`first_record`; with a perimeter four columns follow: the last
-        known pose (m, m, rad), and the reason of the trial's end, a code of
-        :data:`neurosim.base.perimeter.ENDS` or 0.
-        """
-        own, guard = self._begun(poses)
-        return own if guard is None else np.concatenate([own, guard], axis=1)
-
-    def add(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval of K trials to records of :meth:`new_record`, in place."""
-        own, guard = self._parts(record)
-        self._add_guarded(own, guard, interval, _over(own, guard))
-        if guard is not None:
-            record[:, :-_GUARD], record[:, -_GUARD:] = own, guard
-
-    def score(self, record: NDArray[np.float64]) -> Judgement:
-        """Return :meth:`worth` of records of :meth:`new_record`, with ``over``.
-
-        Trials with column 0 above 0, and those that the guard ended, are over.
-        """
-        return self._score_guarded(*self._parts(record))
-
     def ended(self, judged: Judgement, code: NDArray[np.int64] | int) -> Judgement:
         """Return the judgement of trials that the guard ended, if ``code`` is above 0, as failures.
 
@@ -272,6 +248,8 @@ class Task(Checked):
             code: [...] or one for all, of :data:`neurosim.base.perimeter.ENDS`.
         """
         stopped = np.broadcast_to(np.asarray(code) > 0, judged.success.shape)
+        if not stopped.any():
+            return judged
         penalty = np.where(stopped, self.stop_penalty, 0.0)
         return replace(
             judged,
@@ -282,48 +260,13 @@ class Task(Checked):
             over=judged.over | stopped,
         )
 
-    def _begun(self, poses: NDArray) -> tuple[NDArray, NDArray | None]:
-        """Return the parts of :meth:`new_record`."""
-        own = self.first_record(poses)
-        if self.perimeter is None:
-            return own, None
-        return own, np.concatenate([poses, np.zeros((len(poses), 1))], axis=1)
-
-    def _parts(self, record: NDArray) -> tuple[NDArray, NDArray | None]:
-        """Return a record without the guard's columns, and these, if there is a perimeter."""
-        if self.perimeter is None:
-            return record, None
-        parts = record[:, :-_GUARD], record[:, -_GUARD:]
-        return np.ascontiguousarray(parts[0]), np.ascontiguousarray(parts[1])
-
-    def _add_guarded(
-        self, own: NDArray, guard: NDArray | None, interval: Interval, over: NDArray[np.bool_]
-    ) -> None:
-        """Add an interval, up to the guard's stop; nothing is added after that.
-
-        ``over`` [K] tells whether each trial is over by then.
-        """
-        if guard is None:
-            self.advance(own, interval)
-            return
-        assert self.perimeter is not None
-        stopped = np.flatnonzero(guard[:, 3] > 0)
-        kept = own[stopped]
-        poses = self.perimeter.ends(guard, interval.poses, interval.duration, ~over)
-        self.advance(own, interval._replace(poses=poses))
-        own[stopped] = kept
-
-    def _score_guarded(self, own: NDArray, guard: NDArray | None) -> Judgement:
-        judged = replace(self.worth(own), over=_over(own, guard))
-        return judged if guard is None else self.ended(judged, guard[:, 3].astype(np.int64))
-
-    def judge(self, trajectory: Trajectory, record: NDArray[np.float64] | None = None) -> Judgement:
+    def judge(self, trajectory: Trajectory, earlier: Records | None = None) -> Judgement:
         """Judge trajectories [...]; see :class:`Judgement`.
 
         Args:
             trajectory: simulated or driven.
-            record: of :meth:`new_record` and :meth:`add`, one row for the earlier part of a trial
-                that the trajectories continue; by default trials begin at their first poses.
+            earlier: of the one trial that all trajectories continue; by default trials begin at
+                their first poses.
 
         Raises:
             UserError: if the task is scored by poses or readings that the trajectory lacks.
@@ -335,19 +278,16 @@ class Task(Checked):
             poses = np.full((count, steps + 1, 3), np.nan)
         else:
             poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
-        if record is None:
-            own, guard = self._begun(poses[:, 0])
-        else:
-            own, guard = self._parts(np.tile(record, (count, 1)))
-        before = _over(own, guard)
+        records = Records(self, poses[:, 0]) if earlier is None else earlier.tiled(count)
+        before = records.over()
         settled = np.where(before, 0, max(steps - 1, 0))
         for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
-            self._add_guarded(own, guard, interval, before)
-            over = _over(own, guard)
+            records.add(interval, over=before)
+            over = records.over()
             settled[over & ~before], before = step, over
         if trajectory.segment is not None:
             settled = trajectory.segment[settled]
-        judged = replace(self._score_guarded(own, guard), segment=settled)
+        judged = replace(records.score(), segment=settled)
         return judged.mapped(lambda one: np.asarray(one).reshape(shape))
 
     def check_scored(self, poses: bool, readings: bool) -> None:
@@ -404,9 +344,81 @@ class Task(Checked):
         return {"name": self.name, "settings": settings}
 
 
-def _over(own: NDArray[np.float64], guard: NDArray[np.float64] | None) -> NDArray[np.bool_]:
-    """Return whether trials [K] are over, by the parts of their records."""
-    return (own[:, 0] > 0) if guard is None else (own[:, 0] > 0) | (guard[:, 3] > 0)
+class Records:
+    """The records of B trials under way, and of the guard that may end them.
+
+    Attributes:
+        task: scores the trials.
+        own: [B, W] of :meth:`Task.first_record`.
+        guard: [B, 4] of :meth:`neurosim.base.perimeter.Perimeter.ends`: the last known pose
+            (m, m, rad), and the reason of the trial's end, a code of
+            :data:`neurosim.base.perimeter.ENDS` or 0; None without a perimeter.
+    """
+
+    def __init__(self, task: Task, poses: NDArray[np.float64]):
+        """Begin trials at poses [B, 3] (m, m, rad)."""
+        self.task, self.own = task, task.first_record(poses)
+        self.guard = None if task.perimeter is None else _guard(poses)
+
+    def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
+        """Begin new trials in rows [K] at poses [K, 3]."""
+        self.own[rows] = self.task.first_record(poses)
+        if self.guard is not None:
+            self.guard[rows] = _guard(poses)
+
+    def tiled(self, count: int) -> Records:
+        """Return ``count`` copies of a single trial's records."""
+        copies = copy(self)
+        copies.own = np.tile(self.own, (count, 1))
+        copies.guard = None if self.guard is None else np.tile(self.guard, (count, 1))
+        return copies
+
+    def over(self) -> NDArray[np.bool_]:
+        """Return whether each trial's result is decided, or the guard has ended it, [B]."""
+        decided = self.own[:, 0] > 0
+        return decided if self.guard is None else decided | (self.guard[:, 3] > 0)
+
+    def add(
+        self,
+        interval: Interval,
+        rows: NDArray[np.int64] | slice = EVERY,
+        over: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Add an interval of trials in rows [K], up to the guard's stop; nothing counts after that.
+
+        Args:
+            interval: of K trials.
+            rows: of the batch; all by default.
+            over: [B] of :meth:`over` if known.
+        """
+        own = self.own[rows]
+        if self.guard is None:
+            self.task.advance(own, interval)
+        else:
+            guard = self.guard[rows]
+            stopped = np.flatnonzero(guard[:, 3] > 0)
+            kept = own[stopped]
+            running = ~(self.over() if over is None else over)[rows]
+            assert self.task.perimeter is not None
+            poses = self.task.perimeter.ends(guard, interval.poses, interval.duration, running)
+            self.task.advance(own, interval._replace(poses=poses))
+            own[stopped] = kept
+            if not isinstance(rows, slice):
+                self.guard[rows] = guard
+        if not isinstance(rows, slice):
+            self.own[rows] = own
+
+    def score(self, rows: NDArray[np.int64] | slice = EVERY) -> Judgement:
+        """Return :meth:`Task.worth` of trials in rows [K], with ``over``."""
+        own = self.own[rows]
+        judged = replace(self.task.worth(own), over=own[:, 0] > 0)
+        if self.guard is None:
+            return judged
+        return self.task.ended(judged, self.guard[rows, 3].astype(np.int64))
+
+
+def _guard(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([poses, np.zeros((len(poses), 1))], axis=1)
 
 
 def _intervals(

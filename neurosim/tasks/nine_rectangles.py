@@ -172,18 +172,16 @@ class NineRectangles(Task):
         """
         fault, no_gain = record[:, 7].astype(np.int64), record[:, 6].astype(np.int64)
         success = (fault == 0) & (record[:, 4] == self.last)
-        furthest = np.where(success, self.last, record[:, 5]).astype(np.int64)
-        fitness = furthest**2 - no_gain / 10.0 - self.penalty * (fault != 0)
-        away = record[np.arange(len(record)), _COLUMNS + furthest]
-        away = np.where((furthest == self.last - 1) & (fault == 0), record[:, 9], away)
-        fraction = np.clip(1.0 - np.sqrt(away) / math.hypot(self.length, self.width), 0.0, 1.0)
-        gain = np.where(success, 0.0, 0.9 * (2 * furthest + 1) * fraction)
+        fitness, progress = np.empty(len(record)), np.empty(len(record))
+        furthest = np.empty(len(record), np.int64)
+        diagonal = math.hypot(self.length, self.width)
+        _worth(record, self.last, diagonal, float(self.penalty), fitness, progress, furthest)
         why = np.where(fault > 0, fault, len(self.reasons)) - 1
         return Judgement.of(
             fitness,
             success,
             why,
-            progress=fitness + gain,
+            progress=progress,
             furthest=furthest,
             no_gain=no_gain,
             fault=fault,
@@ -197,7 +195,7 @@ class NineRectangles(Task):
         ends: bool,
         begins: bool,
     ) -> None:
-        given = np.array(np.broadcast_to(active, len(record)))
+        given = np.full(len(record), active, np.bool_)
         course = self._grid, self._goals, float(self.longest_arc)
         _add(record, np.ascontiguousarray(poses), given, ends, begins, *course)
 
@@ -376,3 +374,28 @@ def _add(
         record[k, 0] = 1.0 if fault != 0 else 0.0
         record[k, 4], record[k, 7] = progress, fault
         record[k, 1], record[k, 2], record[k, 3] = x, y, heading
+
+
+@njit(nogil=True)
+def _worth(
+    record: NDArray,
+    last: int,
+    diagonal: float,
+    penalty: float,
+    fitness: NDArray,
+    progress: NDArray,
+    furthest: NDArray,
+) -> None:
+    """Write the values [K] of records [K, W]; see :meth:`NineRectangles.worth`."""
+    for k in range(len(record)):
+        breach, most = record[k, 7] != 0.0, int(record[k, 5])
+        success = not breach and record[k, 4] == last
+        if success:
+            most = last
+        furthest[k] = most
+        fitness[k] = most * most - record[k, 6] / 10.0 - (penalty if breach else 0.0)
+        away = record[k, _COLUMNS + most]
+        if most == last - 1 and not breach:
+            away = record[k, 9]
+        near = min(max(1.0 - math.sqrt(away) / diagonal, 0.0), 1.0)
+        progress[k] = fitness[k] + (0.0 if success else 0.9 * (2 * most + 1) * near)

@@ -108,8 +108,8 @@ class ObstacleAvoidance(Task):
             record[:, 0] = (record[:, 0] > 0) | interval.touching
         assert interval.readings is not None
         assert interval.commands is not None
-        steps = np.broadcast_to(np.divide(interval.duration, self.duration), len(record))
-        _add(interval.readings, interval.commands, steps.copy(), record)
+        steps = np.full(len(record), interval.duration) / self.duration
+        _add(interval.readings, interval.commands, steps, record)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return the sum of equation (1), or the number of visited squares."""

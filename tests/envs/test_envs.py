@@ -143,7 +143,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     evaluator = Evaluator(simulator, task, Function(rule, names), stepped=True)
     seen, _ = env.reset(seed=4)
     trials, steps, total, over = env.trials, 0, 0.0, False
-    begun = trials.face.judged.progress[0]
+    begun = trials.face.progress[0]
     starts = trials.poses.copy()
     member = np.array([int(trials.state[0, -1])]) if simulator.members > 1 else None
     poses = [starts[0]]

@@ -1,17 +1,23 @@
 """The progress of trials under way is what the task says of the trajectory until then."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
 import neurosim as ns
+from neurosim.base.perimeter import Board, Perimeter
 from neurosim.base.trajectory import Trajectory
-from neurosim.tasks.base import Interval, Judgement
+from neurosim.tasks.base import Interval, Judgement, Records
 
 TASKS = {
     "nine-rectangles": lambda: ns.make_task("nine-rectangles", seconds=4.0),
     "a smaller course": lambda: ns.make_task(
         "nine-rectangles", course=[[1, 2], [0, 3]], length=0.3, width=0.3, seconds=4.0
     ),
+    "nine-rectangles, guarded": lambda: ns.make_task(
+        "nine-rectangles", seconds=4.0
+    ).within_perimeter(Perimeter(Board(2.5, 1.6, line_inset=0.1), ((0.1, 0.0),))),
     "go-to": lambda: ns.make_task(
         "go-to", goals=[[0.2, 0.1, 0.0], [0.3, -0.1, 1.0]], seconds=4.0, tolerance=0.1
     ),
@@ -62,15 +68,14 @@ def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
     durations = np.full((count, steps), task.episode.step)
     active = np.ones((count, steps), np.bool_)
     active[:, -1], durations[:, -1] = False, task.episode.rest or task.episode.step
-    record, ended = task.first_record(poses[:, 0]), np.zeros(count, np.bool_)
+    records, ended = Records(task, poses[:, 0]), np.zeros(count, np.bool_)
     seen = []
     for step in range(steps):
         order = rng.permutation(count)
         for rows in (order[:25], order[25:]):  # not all of a batch at once, and in no order
-            part = record[rows]
             given = poses[rows, step + 1], durations[rows, step], active[rows, step]
-            task.advance(part, Interval(*given, True, commands[rows, step], readings[rows, step]))
-            record[rows] = part
+            interval = Interval(*given, True, commands[rows, step], readings[rows, step])
+            records.add(interval, rows)
         until = slice(step + 1)
         whole = Trajectory(
             poses[:, : step + 2],
@@ -79,15 +84,16 @@ def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
             readings[:, until],
             active[:, until],
         )
-        judged, now = task.judge(whole), task.worth(record)
+        judged, now = task.judge(whole), records.score()
         for one in ("fitness", "progress", "success", "reason"):
             np.testing.assert_allclose(getattr(now, one), getattr(judged, one), atol=1e-9)
-        assert np.array_equal(judged.over, record[:, 0] > 0)
+        assert np.array_equal(judged.over, now.over)
+        assert np.array_equal(judged.over, records.over())
         assert not (ended & ~judged.over).any()
         assert (judged.segment[~judged.over] == step).all()
         assert (judged.segment[ended] < max(step, 1)).all()
         if step == steps // 2:
-            middle = record.copy()
+            middle = deepcopy(records)
         ended = judged.over
         seen.append(judged.progress)
     half = steps // 2 + 1
@@ -99,12 +105,18 @@ def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
             readings[row, half:],
             active[row, half:],
         )
-        onward = task.judge(rest, middle[row])
+        earlier = Records(task, poses[[row], 0])
+        earlier.own = middle.own[[row]]
+        if middle.guard is not None:
+            earlier.guard = middle.guard[[row]]
+        onward = task.judge(rest, earlier)
         assert onward.fitness == pytest.approx(judged.fitness[row])
         assert onward.success == judged.success[row]
     assert len(np.unique(np.round(seen, 6))) > 10
     if "course" in name or "walls" in name:
         assert 0 < ended.sum() < count
+    if "guarded" in name:
+        assert 10 < (records.guard[:, 3] > 0).sum() < count
     if "course" in name or "go-to" in name:
         assert judged.success.any()
         assert not judged.success.all()
@@ -112,12 +124,12 @@ def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
 
 def test_a_judgement_stays_as_it_is_while_the_record_goes_on():
     task = TASKS["obstacle-avoidance"]()
-    record = task.first_record(np.zeros((1, 3)))
-    before = task.score(record)
+    records = Records(task, np.zeros((1, 3)))
+    before = records.score()
     given = np.array([[100.0, 100.0]]), np.zeros((1, 3))
-    task.advance(record, Interval(np.zeros((1, 3)), 0.1, True, True, *given))
+    records.add(Interval(np.zeros((1, 3)), 0.1, True, True, *given))
     assert before.progress == 0.0
-    assert task.score(record).progress == 1.0
+    assert records.score().progress == 1.0
 
 
 def test_columns_of_a_record_may_be_given_as_they_are():

@@ -55,14 +55,14 @@ def random_arena(
     outline = _outline(rng, scale)
     arena = Place(outline)
     for _ in range(rng.integers(MOST[0] + 1)):
-        place = _free(rng, arena, room + OBSTACLE, lambda at: at[None])
+        place = _free(rng, arena, room + OBSTACLE, lambda at: at[:, None])
         if place is not None:
             obstacle = (float(place[0, 0]), float(place[0, 1]), OBSTACLE)
             arena = Place(outline, arena.walls, (*arena.obstacles, obstacle))
     for _ in range(rng.integers(inner + 1)):
         turn, length = rng.uniform(0.0, 2.0 * math.pi), scale * rng.uniform(*LENGTHS)
         along = np.linspace(0.0, length, 21)[:, None] * (math.cos(turn), math.sin(turn))
-        line = _free(rng, arena, room, lambda at, along=along: at + along)  # type: ignore[misc]
+        line = _free(rng, arena, room, lambda at, along=along: at[:, None] + along)  # type: ignore[misc]
         if line is not None:
             (x1, y1), (x2, y2) = line[[0, -1]].tolist()
             arena = Place(outline, (*arena.walls, (x1, y1, x2, y2)), arena.obstacles)
@@ -91,13 +91,14 @@ def _free(
     room: float,
     points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64] | None:
-    """Return points [N, 2] of an object with some room around it, m; None if there is no room."""
+    """Return points [N, 2] of an object with some room around it, m; None if there is no room.
+
+    ``points`` gives those [K, N, 2] of objects at K positions [K, 2].
+    """
     x1, y1, x2, y2 = arena.bounds
-    for _ in range(_TRIES):
-        shape = points(rng.uniform((x1, y1), (x2, y2)))
-        if (arena.clearance(shape) > room).all():
-            return shape
-    return None
+    shapes = points(rng.uniform((x1, y1), (x2, y2), (_TRIES, 2)))
+    free = np.flatnonzero((arena.clearance(shapes) > room).all(axis=1))
+    return shapes[free[0]] if len(free) else None
 
 
 class ManyArenas(Simulator):

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -634,6 +634,7 @@ class TableSimulator(Simulator):
             raise FileError(path, f"is not a table simulator ({error})") from None
 
 
+@lru_cache(maxsize=8)  # a simulator in another place has the same tables
 def _lookup(table: SensorTable, read: bool) -> Lookup:
     """Return a table's numbers, also of one that is not read."""
     ambient, variance = table.ambient, table.ambient_spread**2
