@@ -42,11 +42,12 @@ def _make_rows(out: Path) -> None:
     from neurosim.base.commands import TWO_WHEELS
     from neurosim.base.perimeter import Perimeter
     from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
-    from tracking.datasets.dataset import OUTPUTS, inputs_of, make
+    from tracking.datasets.dataset import OUTPUTS, make
+    from tracking.datasets.logs import inputs_of
 
     rng, wheels = np.random.default_rng(0), TWO_WHEELS.measured(full=0.5, track=0.13)
     given = rng.uniform((-50.0, -50.0, 0.5), (50.0, 50.0, 3.0), (ROWS, 3))
-    inputs, duration, twist = inputs_of(wheels), given[:, 2], wheels.twist(given[:, :2])
+    inputs, duration, twist = inputs_of(wheels.units), given[:, 2], wheels.twist(given[:, :2])
     halfway, moved = (
         se2.exp(twist * time[:, None]) + rng.normal(0.0, 0.002, (ROWS, 3))
         for time in (duration / 2.0, duration)

@@ -29,8 +29,9 @@ from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData
 from neurosim.training.error_size import size_features, size_weights
 from neurosim.training.train import MIN_ROWS, learn
-from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS, inputs_of
+from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
 from tracking.datasets.displacements import displacements
+from tracking.datasets.logs import inputs_of
 from tracking.datasets.recordings import Recording
 
 #: Smallest expected size of an error, as a quantile of the rows' expected sizes.
@@ -220,7 +221,7 @@ def choose_round(
     Raises:
         UserError: if too few commands were tracked so far.
     """
-    units = inputs_of(made[0].takes)
+    units = inputs_of(made[0].takes.units)
     x, y = _rows(made, units)
     settings = GuidedSettings()
     committee = Committee(motor_data(x, y, units), source.seed, settings)

@@ -23,7 +23,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.base import files, formats
-from neurosim.base.commands import Commands
 from neurosim.base.errors import FileError, UserError, counted
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import track
@@ -41,12 +40,6 @@ MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", 
 OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
 #: Columns of the pose at a command's beginning, in the recording's frame (m, m, rad), if known.
 STARTS = ("start_x", "start_y", "start_theta")
-
-
-def inputs_of(takes: Commands) -> dict[str, str]:
-    """Return the inputs of a robot with these commands, with units: previous and next command."""
-    units = takes.units
-    return {**{f"prev_{name}": unit for name, unit in units.items()}, **units, "duration": "s"}
 
 
 #: Smallest number of rows for training; importers warn about fewer.
@@ -355,7 +348,7 @@ def build(
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
         perimeters.append(Perimeter.of_recording(recording.meta))
-        own = inputs_of(recording.takes)
+        own = logs.inputs_of(recording.takes.units)
         inputs = inputs or own
         if own != inputs:
             raise UserError(

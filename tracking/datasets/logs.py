@@ -107,7 +107,10 @@ class Log:
 
 
 def inputs_of(commands: dict[str, str]) -> dict[str, str]:
-    """Return the inputs of a dataset, name -> unit, whose commands have these names and units."""
+    """Return the inputs of a dataset, name -> unit: previous command, command and duration.
+
+    ``commands`` are names and units of a command's numbers.
+    """
     before = {f"prev_{name}": unit for name, unit in commands.items()}
     return before | commands | {"duration": "s"}
 

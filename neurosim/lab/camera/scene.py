@@ -57,6 +57,7 @@ _TAG_BLACK = (30.0, 30.0, 31.0)
 _WHEEL = (-0.028, 0.028, 0.052, 0.079)
 _SENSOR_ARM = (0.045, 0.075, -0.102, 0.102)
 _BODY = (-0.128, 0.108, -0.052, 0.052)
+_ROBOT = (-0.13, 0.11, -0.105, 0.105)  # with all that stands out from the body
 #: Largest distance of the robot's parts and its lamp's glow from its pose (m).
 REACH = 0.14
 _GRAIN = 0.02
@@ -282,7 +283,7 @@ def paint_robot(
             for k in range(poses.shape[0]):
                 px, py = plane[v, u, 0] - poses[k, 0], plane[v, u, 1] - poses[k, 1]
                 x, y = cos[k] * px + sin[k] * py, cos[k] * py - sin[k] * px
-                if lamp == 0.0 and not _near_body(x, y, 2.0 * breadth):
+                if lamp == 0.0 and not _within(x, y, _ROBOT, 2.0 * breadth):
                     blue += weights[k] * under[0]
                     green += weights[k] * under[1]
                     red += weights[k] * under[2]
@@ -317,11 +318,6 @@ def paint_robot(
                 frame[v, u, 0] = int(min(max(blue + noise[i, j, 0] + 0.5, 0.0), 255.0))
                 frame[v, u, 1] = int(min(max(green + noise[i, j, 1] + 0.5, 0.0), 255.0))
                 frame[v, u, 2] = int(min(max(red + noise[i, j, 2] + 0.5, 0.0), 255.0))
-
-
-@_painted
-def _near_body(x, y, margin):
-    return -0.13 - margin < x < 0.11 + margin and abs(y) < 0.105 + margin
 
 
 @_painted
