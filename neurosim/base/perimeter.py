@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.compiled import njit
 from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
@@ -100,6 +100,19 @@ class Perimeter(Checked):
         """Return the perimeter for JSON."""
         content = asdict(self)
         return {**content, "sensors": [list(place) for place in self.sensors]}
+
+    def near_line(self, pose: ArrayLike, distance: float) -> bool:
+        """Return whether a light sensor may be on the line, or beyond it, after a short drive.
+
+        Args:
+            pose: the robot's, [3] (m, m, rad, board frame); its heading does not matter.
+            distance: of the drive, m.
+        """
+        x, y = np.asarray(pose, np.float64)[:2]
+        board = self.board
+        inside = min(board.length / 2 - abs(x), board.width / 2 - abs(y))
+        reach = max((math.hypot(*place) for place in self.sensors), default=0.0)
+        return bool(inside - reach - distance <= board.line_inset + board.line_width / 2)
 
     def guarded(self, by: str) -> Perimeter:
         """Return the perimeter that a guard uses: ``both``, or ``position`` alone."""

@@ -23,6 +23,9 @@ from neurosim.cli._options import SettingsCommand, settings_options
 from neurosim.cli._robots import camera_options, robot_option
 from neurosim.cli._types import PATH
 
+#: Fraction of late commands above which the drive is not the one that was simulated.
+_OFTEN = 0.1
+
 
 @click.command(cls=SettingsCommand)
 @click.argument("controller", type=PATH)
@@ -215,7 +218,12 @@ def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
         )
     kept = report.get("deadlines")
     if kept:
-        text += f"; {kept['missed']} of {kept['steps']} deadlines were missed"
+        text += f"; {kept['missed']} of {kept['steps']} commands were late"
+        if kept["missed"] > _OFTEN * kept["steps"]:
+            text += (
+                f" (by {kept['worst_late_s']:.2f} s at most), so the drive differs from the "
+                "simulated one: evolve for a task with a longer step"
+            )
     return (
         text
         + ".\n"

@@ -15,11 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from neurosim.base.perimeter import UNSEEN
+from neurosim.base.perimeter import UNSEEN, Perimeter
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Observation, SeeingSource
 from neurosim.recording.session import BATTERY_EVERY, LINES, Session
-from neurosim.robots.base import Counters, Robot, Sensors, read_sensors, sensors_read_with
+from neurosim.robots.base import (
+    Counters,
+    Robot,
+    Sensors,
+    SeparateSensors,
+    read_sensors,
+    sensors_read_with,
+)
 from neurosim.robots.odometry import Odometry
 from tracking.datasets.recordings import Recording
 
@@ -30,6 +37,9 @@ LOOKS = 5
 TIMED = 0.5
 #: Factor of the time for an observation over its duration.
 MARGIN = 1.1
+#: A robot seen less than this time ago, s, and farther than this from the line, m, reaches it not
+#: before its next two commands.
+JUST, SOON = 0.15, 0.1
 #: A command that is later than this fraction of its duration has missed its deadline.
 LATE = 0.1
 
@@ -109,13 +119,16 @@ class ClosedLoopSession(Session):
         self._must_agree = self._must_agree or (source.needs_pose and self._takes.moves_as_known)
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
+        self._asked = 0
         wanted = set(source.sensors)
         if source.reads and not wanted and isinstance(robot, Sensors):
             wanted.update(robot.sensor_names)
-        # The sensors of the guard are read at every step, too.
+        # Those of the guard are read, too: all at every step, or in turn, see _to_read().
+        self._in_turn = not wanted and isinstance(robot, SeparateSensors)
         if self._guard.at_line != "ignore" and self._guard.by == "both":
             wanted.update(LINES)
         self._names = sensors_read_with(robot, wanted)
+        self._place = Perimeter.of_recording(recording.meta)
 
     def run(self) -> bool:
         """Drive between two flashes; return whether no command is left."""
@@ -192,13 +205,28 @@ class ClosedLoopSession(Session):
             assert self._spotter is not None
             last = self._spotter.last
             sight = None if last is None else (last[1], due - last[0])
-        readings = read_sensors(self._robot, self._names)
+        readings = read_sensors(self._robot, self._to_read())
         return time, Observation(since, pose, readings, sight)
+
+    def _to_read(self) -> tuple[str, ...]:
+        """Return the names of the sensors to read now.
+
+        Where only the guard needs them, each takes a round trip, and the camera has just seen the
+        robot far from the line, they are read in turn, one at a time: all of them would make the
+        next command late.
+        """
+        last = None if self._spotter is None else self._spotter.last
+        if not self._in_turn or not self._names or last is None:
+            return self._names
+        if self._clock.now() - last[0] > JUST or self._place.near_line(last[1], SOON):
+            return self._names
+        self._asked += 1
+        return (self._names[self._asked % len(self._names)],)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
         """Write down the observation, and its command, if any."""
         pose = (None,) * 3 if seen.pose is None else np.round(seen.pose, 6)
-        readings = (seen.readings[name] for name in self._names)
+        readings = (seen.readings.get(name) for name in self._names)
         self._seen_log.append(self._session, number, round(time, 6), *pose, *readings)
 
     def _look(self, due: float) -> None:

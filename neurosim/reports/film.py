@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike, NDArray
@@ -164,7 +165,7 @@ def _readings(trial: Trial, at: NDArray) -> tuple[Sequence[str], NDArray]:
     if not len(looks.time):
         return (), np.empty((len(at), 0))
     place = np.clip(np.searchsorted(looks.time, at, side="right") - 1, 0, None)
-    return looks.names, looks.readings[place]
+    return looks.names, pd.DataFrame(looks.readings).ffill().bfill().to_numpy()[place]
 
 
 def _samples(

@@ -146,6 +146,15 @@ class Sensors(Protocol):
 
 
 @runtime_checkable
+class SeparateSensors(Sensors, Protocol):
+    """Has sensors of which each takes a round trip of its own."""
+
+    def read_sensor(self, name: str) -> float:
+        """Read one sensor, 0..1, by its name in ``sensor_names``."""
+        ...
+
+
+@runtime_checkable
 class SelfStopping(Protocol):
     """Stops by itself some time after a command, if no other follows.
 
@@ -248,6 +257,8 @@ class LightSensors(Proximity, Protocol):
 def sensors_read_with(robot: Robot, wanted: Collection[str] | None = None) -> tuple[str, ...]:
     """Return the names of the sensors that are read for the wanted ones; None: all sensors."""
     near = robot.sensor_names if isinstance(robot, Sensors) else ()
+    if wanted is not None and isinstance(robot, SeparateSensors):
+        near = tuple(name for name in near if name in wanted)
     count = len(robot.angles) if isinstance(robot, LightSensors) else 0
     light = tuple(f"light_{index}" for index in range(count))
     groups = [names for names in (near, light) if wanted is None or set(names) & set(wanted)]
@@ -257,7 +268,9 @@ def sensors_read_with(robot: Robot, wanted: Collection[str] | None = None) -> tu
 def read_sensors(robot: Robot, wanted: Collection[str]) -> dict[str, float]:
     """Read the sensors that :func:`sensors_read_with` names, by name, each in 0..1."""
     names, readings = sensors_read_with(robot, wanted), dict[str, float]()
-    if isinstance(robot, Sensors) and set(names) & set(robot.sensor_names):
+    if isinstance(robot, SeparateSensors):
+        readings = {name: robot.read_sensor(name) for name in robot.sensor_names if name in names}
+    elif isinstance(robot, Sensors) and set(names) & set(robot.sensor_names):
         readings = dict(robot.read_sensors())
     if isinstance(robot, LightSensors) and len(names) > len(readings):
         readings |= zip(names[len(readings) :], map(float, robot.lights()), strict=True)

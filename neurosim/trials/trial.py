@@ -338,7 +338,8 @@ class _Drive:
         columns = zip(self.looks.names, self.looks.readings.T, strict=True)
         sensors = {
             name: {"min": float(c.min()), "mean": float(c.mean()), "max": float(c.max())}
-            for name, c in columns
+            for name, c in ((name, c[np.isfinite(c)]) for name, c in columns)
+            if len(c)
         }
         return {"looks": len(self.looks.time), "sensors": sensors}
 

@@ -70,6 +70,31 @@ def test_on_its_way_back_inside_a_robot_is_let_go():
     assert end(perimeter, (0.97, 0, 0), (0.99, 0, 0))[0] == EDGE
 
 
+@settings(max_examples=200, deadline=None)
+@given(
+    st.tuples(st.floats(-1.1, 1.1), st.floats(-0.6, 0.6), st.floats(-4, 4)),
+    st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-4, 4)),
+)
+def test_what_is_not_near_the_line_does_not_reach_it_in_that_distance(start, move):
+    perimeter = Perimeter(BOARD, SENSORS, margin=None)
+    path = se2.arc(np.array(move), np.linspace(0, 1, 200))
+    length = float(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum())
+    code, _ = end(perimeter, start, se2.compose(np.array(start), np.array(move)))
+    if not perimeter.near_line(start, 1.01 * length + 1e-6):
+        assert code == 0
+    if code == LINE:
+        assert perimeter.near_line(start, 1.01 * length + 1e-6)
+
+
+def test_far_and_near_the_line():
+    perimeter = Perimeter(BOARD, SENSORS)
+    reach = math.hypot(0.06, 0.09)  # the sensors' from the axle, whichever way the robot faces
+    assert not perimeter.near_line((0, 0, 0), 0.5 - 0.11 - reach - 0.001)
+    assert perimeter.near_line((0, 0, 0), 0.5 - 0.11 - reach + 0.001)
+    assert perimeter.near_line((0.8, 0, 1.0), 0.0)
+    assert perimeter.near_line((1.5, 0, 1.0), 0.0)  # beyond it
+
+
 def slowly(perimeter, before, after, duration):
     """Return whether a drive ends, checked every tenth of a millimetre."""
     displacement = se2.between(np.array(before), np.array(after))

@@ -71,16 +71,18 @@ def test_sensors_read_what_they_read_at_the_last_look(folders, tmp_path):
     begun = path[0, 0]
     Recording.create(tmp_path / "r", {})
     shutil.copy(tmp_path / "r" / "recording.json", trial.path)
-    rows = {"session": [1, 1], "command": [0, 1], "time": [begun, begun + 3.0]}
-    rows |= {"x": [0, 0], "y": [0, 0], "theta": [0, 0], "light": [0.25, 0.75]}
+    # The first sensor was not read at the last look, nor the second at the first one.
+    rows = {"session": [1] * 3, "command": [0, 1, 2], "time": [begun, begun + 3.0, begun + 4.0]}
+    rows |= dict.fromkeys(("x", "y", "theta"), [0] * 3)
+    rows |= {"light": [0.25, 0.75, None], "other": [None, 0.5, 0.6]}
     files.write_csv(trial.path / "observations.csv", rows)
     shown = film(gather(folders), trial)
-    assert shown.names == ("light",)
+    assert shown.names == ("light", "other")
     assert set(shown.readings[shown.times < 2.9, 0]) == {0.25}
     assert set(shown.readings[shown.times > 3.1, 0]) == {0.75}
     frames = json.loads(shown.as_json(0, 0, 1))["readings"]
-    assert frames[0] == [0.25]
-    assert frames[-1] == [0.75]
+    assert frames[0] == [0.25, 0.5]
+    assert frames[-1] == [0.75, 0.6]
 
 
 def test_a_robot_that_nothing_saw_for_a_while_is_not_shown_there(folders):

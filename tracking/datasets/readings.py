@@ -69,7 +69,7 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
         seen = np.isfinite(track.pose).all(axis=1)
         looks = observed.of_session(session)
         known, where = _motion_at(track.time[seen], track.pose[seen], looks.time)
-        known &= _measured(looks.time, looks.readings)
+        known &= _measured(looks.time, looks.readings) & np.isfinite(looks.readings).all(axis=1)
         rows = pd.DataFrame(where[known].round(_DIGITS), columns=list(PLACE))
         rows.insert(0, "time", looks.time[known])
         rows.insert(0, "recording", name)

@@ -157,7 +157,7 @@ class Observations:
         time: [N] time of the pose.
         pose: [N, 3], NaN if it was unknown.
         names: of the sensors.
-        readings: [N, S] of the sensors, 0..1.
+        readings: [N, S] of the sensors, 0..1; NaN where one was not read.
     """
 
     session: NDArray
@@ -356,7 +356,7 @@ class Recording:
             raise FileError(path, f"expected the columns {expected} and sensors", line=1)
         sensors = names[len(_OBSERVATION_COLUMNS) :]
         parsers = {"session": integer, "command": _optional_integer, "time": number}
-        poses, readings = ("x", "y", "theta"), dict.fromkeys(sensors, number)
+        poses, readings = ("x", "y", "theta"), dict.fromkeys(sensors, optional_number)
         parsers |= dict.fromkeys(poses, optional_number) | readings
         table = read_csv(path, parsers, drop_torn_line=True)
         return Observations(

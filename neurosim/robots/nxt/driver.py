@@ -283,11 +283,11 @@ class NXT:
 
     def read_sensors(self) -> dict[str, float]:
         """Return the light sensors' readings by name, each 0 (dark) to 1."""
-        return {
-            name: self._read_valid(port, SensorType.LIGHT_ACTIVE) / FULL_SCALE
-            for name, port in self._lights.items()
-            if port is not None
-        }
+        return {name: self.read_sensor(name) for name in self.sensor_names}
+
+    def read_sensor(self, name: str) -> float:
+        """Return one light sensor's reading, 0 (dark) to 1, by its name in ``sensor_names``."""
+        return self._read_valid(self._lights[name], SensorType.LIGHT_ACTIVE) / FULL_SCALE
 
     def battery(self) -> float:
         """Return the battery's voltage in volts."""
