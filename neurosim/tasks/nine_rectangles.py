@@ -17,7 +17,10 @@ rectangles are settings, for other boards.
 
 Fitness is equation 2, F = N_max^2 - C_nogain / 10. N_max is the furthest rectangle reached; a robot
 reaches 8 only if it ends there, so one that drives through it has 7. C_nogain counts the given
-commands without progress along the course. The paper reduces the fitness of a robot that breaks a
+commands without progress along the course. The paper's commands last half a second at least
+(:data:`COMMAND`); a shorter one counts as that part of a command. Counted whole, 600 commands of a
+closed-loop controller would cost 60, and a robot that drives over the line would gain by ending its
+trial. The paper reduces the fitness of a robot that breaks a
 rule "immediately" and "heavily", but gives no number: here nothing after the breach counts (N_max
 stays, later commands gain nothing), and ``penalty`` is subtracted. It is a constant, so that plans
 with more progress before a breach still win; nearly all plans of the first generation have a
@@ -52,13 +55,16 @@ from neurosim.tasks.base import Interval, Judgement, Task
 #: The centre is checked at least this often, m.
 SPACING = 0.02
 
+#: The shortest command of the paper, s.
+COMMAND = 0.5
+
 #: Faults of a robot; 0: none.
 FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}
 _FORBIDDEN, _OUTSIDE, _SKIPPED = FAULTS
 #: Columns of a record before the squares of the nearest distances to the goals (m^2): breach; pose
 #: (3); progress; N_max below the last goal; C_nogain; fault; progress at the command's beginning;
-#: present square of the distance from the last goal (m^2).
-_COLUMNS = 10
+#: present square of the distance from the last goal (m^2); time since the command's beginning (s).
+_COLUMNS = 11
 _NOT_THERE = "did not end in the last rectangle"
 
 
@@ -153,15 +159,16 @@ class NineRectangles(Task):
         )
 
     def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return records [K, 10 + goals]; see :data:`_COLUMNS`."""
+        """Return records [K, 11 + goals]; see :data:`_COLUMNS`."""
         record = np.zeros((len(poses), _COLUMNS + self.last + 1))
         record[:, 1:4], record[:, _COLUMNS:] = poses, np.inf
-        self._add(record, poses, False, False, True)
+        self._add(record, poses, 0.0, False, False, True)
         return record
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
         """Add an interval; nothing counts after a breach, and commands then gain nothing."""
-        self._add(record, interval.poses, interval.active, interval.ends, False)
+        given = interval.duration, interval.active, interval.ends
+        self._add(record, interval.poses, *given, False)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return equation 2; ``detail`` has ``furthest``, ``no_gain`` and ``fault`` of FAULTS.
@@ -170,7 +177,7 @@ class NineRectangles(Task):
         rectangle, up to most of the value of reaching it; the last one counts only at the robot's
         last pose.
         """
-        fault, no_gain = record[:, 7].astype(np.int64), record[:, 6].astype(np.int64)
+        fault, no_gain = record[:, 7].astype(np.int64), record[:, 6]
         success = (fault == 0) & (record[:, 4] == self.last)
         fitness, progress = np.empty(len(record)), np.empty(len(record))
         furthest = np.empty(len(record), np.int64)
@@ -191,13 +198,14 @@ class NineRectangles(Task):
         self,
         record: NDArray[np.float64],
         poses: NDArray[np.float64],
+        duration: NDArray[np.float64] | float,
         active: NDArray[np.bool_] | bool,
         ends: bool,
         begins: bool,
     ) -> None:
-        given = np.full(len(record), active, np.bool_)
+        seconds, given = np.full(len(record), duration), np.full(len(record), active, np.bool_)
         course = self._grid, self._goals, float(self.longest_arc)
-        _add(record, np.ascontiguousarray(poses), given, ends, begins, *course)
+        _add(record, np.ascontiguousarray(poses), seconds, given, ends, begins, *course)
 
     @cached_property
     def _goals(self) -> NDArray[np.float64]:
@@ -325,6 +333,7 @@ def _begin(x: float, y: float, grid: tuple, last: int) -> tuple[int, int]:
 def _add(
     record: NDArray,
     poses: NDArray,
+    seconds: NDArray,
     active: NDArray,
     ends: bool,
     begins: bool,
@@ -337,8 +346,10 @@ def _add(
     last = len(goals) - 1
     for k in range(len(record)):
         x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        record[k, 10] += seconds[k]
         moves = x != record[k, 1] or y != record[k, 2] or heading != record[k, 3]
         if not (begins or active[k] or moves):
+            record[k, 10] = 0.0
             continue
         progress, fault = int(record[k, 4]), int(record[k, 7])
         if begins:
@@ -359,7 +370,9 @@ def _add(
             record[k, 5] = max(record[k, 5], min(highest, last - 1))
         if ends:
             if active[k] and min(progress, last) <= record[k, 8]:
-                record[k, 6] += 1
+                # One in which nothing was seen has no duration, and counts whole.
+                record[k, 6] += min(record[k, 10] / COMMAND, 1.0) if record[k, 10] > 0.0 else 1.0
+            record[k, 10] = 0.0
             record[k, 8] = min(progress, last)
         record[k, 9] = np.inf
         # After a breach nothing counts.

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Board, Perimeter
 from neurosim.base.trajectory import Trajectory
 from neurosim.tasks.base import Task
 from neurosim.tasks.nine_rectangles import NineRectangles
@@ -86,6 +87,27 @@ def test_the_start_faces_rectangle_1_and_the_name_finds_the_task():
 def test_a_part_of_the_course(reached, expected):
     fitness, completes, _ = judge(CENTRES[: reached + 1])
     assert (fitness, completes) == (expected, False)
+
+
+def test_a_closed_loop_never_gains_by_driving_over_the_line():
+    """Of 600 commands of 0.1 s each counts a fifth; whole, they would cost more than a stop."""
+    task = TASK.within_perimeter(Perimeter(Board(2.4), (), margin=0.05))
+    # Once around in 50 s, then it waits.
+    at = np.minimum(np.arange(601) / 500 * 8, 8)
+    path = [np.interp(at, np.arange(9), column) for column in np.transpose(CENTRES)]
+    poses = np.column_stack([*path, np.zeros(601)])[None]
+    waits = task.judge(Trajectory(poses, np.zeros((1, 600, 2)), 0.1))
+    assert waits.success[0]
+    assert waits.fitness[0] == pytest.approx(64 - 592 * 0.2 / 10)
+    away = poses.copy()
+    away[0, 540:, 0] -= 0.02 * np.arange(61)
+    leaves = task.judge(Trajectory(away, np.zeros((1, 600, 2)), 0.1))
+    assert task.why(int(leaves.reason[0])) == "was stopped at the board's edge"
+    assert leaves.fitness[0] < waits.fitness[0] - 20
+    # Half a second or longer is a whole command of the paper.
+    for seconds, part in ((0.1, 0.2), (0.25, 0.5), (0.5, 1.0), (3.0, 1.0)):
+        idle = Trajectory(np.tile(poses[:, :1], (1, 5, 1)), np.zeros((1, 4, 2)), seconds)
+        assert TASK.judge(idle).fitness[0] == pytest.approx(-0.4 * part)
 
 
 def test_commands_without_gain_cost_a_tenth_each_null_ones_nothing():
