@@ -222,7 +222,7 @@ def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
         if kept["missed"] > _OFTEN * kept["steps"]:
             text += (
                 f" (by {kept['worst_late_s']:.2f} s at most), so the drive differs from the "
-                "simulated one: evolve for a task with a longer step"
+                "simulated one: evolve with a longer --step"
             )
     return (
         text
