@@ -219,7 +219,7 @@ def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
     kept = report.get("deadlines")
     if kept:
         text += f"; {kept['missed']} of {kept['steps']} commands were late"
-        if kept["missed"] > _OFTEN * kept["steps"]:
+        if kept["missed"] > _OFTEN * kept["steps"] and not report["replanned"]:
             text += (
                 f" (by {kept['worst_late_s']:.2f} s at most), so the drive differs from the "
                 "simulated one: evolve with a longer --step"

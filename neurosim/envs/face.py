@@ -30,16 +30,12 @@ from neurosim.networks.control import (
 )
 from neurosim.networks.control_kernels import closed_loop, observe
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Interval, Judgement, Records, Task
+from neurosim.tasks.base import Interval, Judgement, Records, Rows, Task
 
 #: Observed positions reach so far beyond the outline of simulator and task, m.
 BEYOND = 0.5
 #: Without an outline, observed positions reach so far from the start, m.
 AROUND = 5.0
-
-
-#: Rows of a batch: places, or all.
-Rows = NDArray[np.int64] | slice
 
 
 class Face:
@@ -192,8 +188,8 @@ class Face:
         own = interval._replace(commands=interval.commands[:, : len(self.outputs)])
         self.records.add(own, rows)
 
-    def judged(self) -> tuple[NDArray[np.float64], Judgement]:
-        """Return the rewards [B], the growth of progress since the last step; and the fitness."""
+    def reward(self) -> tuple[NDArray[np.float64], Judgement]:
+        """End a step; return the rewards [B], the growth of progress in it, and the fitness."""
         judged = self.records.score()
         rewards, self.progress = judged.progress - self.progress, judged.progress.copy()
         return rewards, judged

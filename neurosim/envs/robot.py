@@ -23,7 +23,7 @@ from neurosim.robots.base import Counters, drive_for, read_sensors, sensors_read
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
-from neurosim.tasks.base import Interval, Task
+from neurosim.tasks.base import EVERY, Interval, Task
 from neurosim.trials.rig import RIGS, Setup, open_rig, place_of
 from tracking.camera.camera_model import CameraModel
 
@@ -202,9 +202,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         readings = self._readings
         clock.sleep_until(self._due)
         self._look()
-        every = slice(None)
         face.add(
-            every, Interval(self._pose[None], episode.step, commands=commands, readings=readings)
+            EVERY, Interval(self._pose[None], episode.step, commands=commands, readings=readings)
         )
         self._steps += 1
         decided = bool(face.records.over()[0])
@@ -220,8 +219,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 moved = Interval(
                     self._pose[None], episode.rest, False, commands=still, readings=readings
                 )
-                face.add(every, moved)
-        reward, judged = face.judged()
+                face.add(EVERY, moved)
+        reward, judged = face.reward()
         if decided or late:
             self._begun = False
             info = {
@@ -251,7 +250,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def _see(self) -> NDArray[np.float32]:
         times = np.array([self._steps * self._face.episode.step])
-        return self._face.observation(slice(None), self._pose[None], self._readings, times)[0]
+        return self._face.observation(EVERY, self._pose[None], self._readings, times)[0]
 
     def _show(self) -> None:
         if self.render_mode == "human" and self._picture is not None:

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.threads import WORTH_SHARING, one_core
-from neurosim.envs.face import Face, Rows
+from neurosim.envs.face import Face
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, Stepper, placed
-from neurosim.tasks.base import Interval, Judgement, Task
+from neurosim.tasks.base import EVERY, Interval, Judgement, Rows, Task
 
 #: Number of samples, and of steps of noise, drawn at once: a call takes longer than the numbers.
 BLOCK = 16
@@ -201,7 +201,7 @@ class Trials:
         self, commands: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Judgement]:
         face, episode = self.face, self.face.episode
-        self._go_on(slice(None), commands, episode.step, True)
+        self._go_on(EVERY, commands, episode.step, True)
         if self._noise is not None:
             self._noise.go_on()
         decided = face.records.over()
@@ -211,7 +211,7 @@ class Trials:
             rows = np.flatnonzero(ended)
             still = np.zeros((len(rows), len(self.face.outputs)))
             self._go_on(rows, self.face.lasting(still, episode.rest), episode.rest, False)
-        rewards, judged = face.judged()
+        rewards, judged = face.reward()
         return rewards, decided, late, judged
 
     def _go_on(
@@ -241,7 +241,7 @@ class Trials:
         kept[rows] = new
         return kept
 
-    def see(self, rows: Rows = slice(None)) -> NDArray[np.float32]:
+    def see(self, rows: Rows = EVERY) -> NDArray[np.float32]:
         """Return the observations of rows [K], [K, I]; call it once after a step."""
         readings = None if self._readings is None else self._readings[rows]
         times = np.minimum(self._steps[rows], self.face.episode.steps) * self.face.episode.step

@@ -37,8 +37,8 @@ LOOKS = 5
 TIMED = 0.5
 #: Factor of the time for an observation over its duration.
 MARGIN = 1.1
-#: A robot seen less than this time ago, s, and farther than this from the line, m, reaches it not
-#: before its next two commands.
+#: A robot that was seen less than this time ago, s, farther than this from the line, m, does not
+#: reach it within two short commands.
 JUST, SOON = 0.15, 0.1
 #: A command that is later than this fraction of its duration has missed its deadline.
 LATE = 0.1
@@ -119,7 +119,7 @@ class ClosedLoopSession(Session):
         self._must_agree = self._must_agree or (source.needs_pose and self._takes.moves_as_known)
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
-        self._asked = 0
+        self._turns = 0
         wanted = set(source.sensors)
         if source.reads and not wanted and isinstance(robot, Sensors):
             wanted.update(robot.sensor_names)
@@ -128,7 +128,7 @@ class ClosedLoopSession(Session):
         if self._guard.at_line != "ignore" and self._guard.by == "both":
             wanted.update(LINES)
         self._names = sensors_read_with(robot, wanted)
-        self._place = Perimeter.of_recording(recording.meta)
+        self._around = Perimeter.of_recording(recording.meta)
 
     def run(self) -> bool:
         """Drive between two flashes; return whether no command is left."""
@@ -218,10 +218,10 @@ class ClosedLoopSession(Session):
         last = None if self._spotter is None else self._spotter.last
         if not self._in_turn or not self._names or last is None:
             return self._names
-        if self._clock.now() - last[0] > JUST or self._place.near_line(last[1], SOON):
+        if self._clock.now() - last[0] > JUST or self._around.near_line(last[1], SOON):
             return self._names
-        self._asked += 1
-        return (self._names[self._asked % len(self._names)],)
+        self._turns += 1
+        return (self._names[self._turns % len(self._names)],)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
         """Write down the observation, and its command, if any."""

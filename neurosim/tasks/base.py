@@ -26,7 +26,8 @@ from neurosim.base.place import Place
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import InPlace, Sensing, Simulator
 
-#: All rows of a batch.
+#: Rows of a batch: places, or all.
+Rows = NDArray[np.int64] | slice
 EVERY = slice(None)
 
 
@@ -381,7 +382,7 @@ class Records:
     def add(
         self,
         interval: Interval,
-        rows: NDArray[np.int64] | slice = EVERY,
+        rows: Rows = EVERY,
         over: NDArray[np.bool_] | None = None,
     ) -> None:
         """Add an interval of trials in rows [K], up to the guard's stop; nothing counts after that.
@@ -408,7 +409,7 @@ class Records:
         if not isinstance(rows, slice):
             self.own[rows] = own
 
-    def score(self, rows: NDArray[np.int64] | slice = EVERY) -> Judgement:
+    def score(self, rows: Rows = EVERY) -> Judgement:
         """Return :meth:`Task.worth` of trials in rows [K], with ``over``."""
         own = self.own[rows]
         judged = replace(self.task.worth(own), over=own[:, 0] > 0)

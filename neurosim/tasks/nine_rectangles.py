@@ -20,11 +20,10 @@ reaches 8 only if it ends there, so one that drives through it has 7. C_nogain c
 commands without progress along the course. The paper's commands last half a second at least
 (:data:`COMMAND`); a shorter one counts as that part of a command. Counted whole, 600 commands of a
 closed-loop controller would cost 60, and a robot that drives over the line would gain by ending its
-trial. The paper reduces the fitness of a robot that breaks a
-rule "immediately" and "heavily", but gives no number: here nothing after the breach counts (N_max
-stays, later commands gain nothing), and ``penalty`` is subtracted. It is a constant, so that plans
-with more progress before a breach still win; nearly all plans of the first generation have a
-breach.
+trial. The paper reduces the fitness of a robot that breaks a rule "immediately" and "heavily", but
+gives no number: here nothing after the breach counts (N_max stays, later commands gain nothing),
+and ``penalty`` is subtracted. It is a constant, so that plans with more progress before a breach
+still win; nearly all plans of the first generation have a breach.
 
 Between two poses the robot is assumed to move on the arc of constant twist, whose centre is checked
 every 2 cm or closer. If the heading changes by nearly a whole turn (or several) while the position
