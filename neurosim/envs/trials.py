@@ -184,8 +184,8 @@ class Trials:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Judgement]:
         """Advance all trials.
 
-        A trial ends when its result is decided, or its time is over. If the task says so, the
-        motors then stop, and the motion until rest counts in this step.
+        A trial ends when its result is decided, or its time is over. In the latter case, if the
+        task says so, the motors stop, and the motion until rest counts in this step.
 
         Args:
             commands: [B, C] of :meth:`Face.checked`.
@@ -206,9 +206,8 @@ class Trials:
             self._noise.go_on()
         decided = face.records.over()
         late = (self._steps >= episode.steps) & ~decided
-        ended = decided | late
-        if episode.rest > 0 and ended.any():
-            rows = np.flatnonzero(ended)
+        if episode.rest > 0 and late.any():
+            rows = np.flatnonzero(late)
             still = np.zeros((len(rows), len(self.face.outputs)))
             self._go_on(rows, self.face.lasting(still, episode.rest), episode.rest, False)
         rewards, judged = face.reward()
