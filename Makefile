@@ -30,7 +30,7 @@ test-fast: test
 
 # What benchmarks/ and examples/ use, Ray and onnxruntime, which are large: 3.5 GB in all. Notebooks run, too.
 test-extras: .venv/installed-extras
-	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras tests/notebooks $(PYTEST_ARGS)
+	NEUROSIM_EXTRAS=1 $(BIN)/pytest -n 2 --dist loadfile tests/extras tests/notebooks $(PYTEST_ARGS)
 
 dist: .venv/installed-dev
 	rm -rf dist

@@ -7,7 +7,8 @@ A robot is learned from the earlier part of its log, through the import of CSV f
 the log, which shares no instant with it, is cut into windows. Each is predicted open loop, from the
 commands that were sent within it and before it. Errors are mean absolute ones of dx, dy (cm) and
 dtheta (deg) at the end of windows of 0.25, 1 and 2 s and of free runs of 5 s. Where a log is of
-drives that are shorter, the longest windows are as long as these allow. Ratios are geometric means
+drives that are shorter, the longest windows are as long as these allow. ``f1tenth`` has only 20
+drives: they are held out in four turns, and figures are means of these. Ratios are geometric means
 over lengths and outputs, first to the single peer with the least such mean, then to the best peer
 at each length and output.
 
@@ -38,7 +39,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -65,6 +66,8 @@ HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
 #: Commands are sampled in steps of this, s, from this long before a window on; windows begin this
 #: often in the earlier rows, and in the held-out ones; and the largest number of windows.
 STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 8.0, 0.1, 0.25, 1200, 300
+#: Turns in which the drives of a robot that has few are held out, so that all are judged.
+FOLDS = 4
 #: A speed before a window is measured over this time, s.
 BEFORE = 0.1
 #: Number of samples of each window.
@@ -149,14 +152,15 @@ def drive(floor: str) -> Robot:
     return of_drives(("left", "right"), logs, lambda n: n >= (1.0 - HELD_OUT) * len(logs))
 
 
-def f1tenth() -> Robot:
+def f1tenth(fold: int = 0) -> Robot:
+    """Return the robot; its 20 drives are held out in four turns."""
     table = pd.read_csv(DATA / "real" / "f1tenth" / "drives.csv")
     names = ["v_cmd_m_s", "steer_cmd_rad"]
     logs = [
         log_of(str(key), own["time_s"], own[names], own[["x_m", "y_m", "heading_rad"]])
         for key, own in table.groupby("measurement")
     ]
-    return of_drives(("speed", "steering"), logs, lambda n: n % 4 == 0)
+    return of_drives(("speed", "steering"), logs, lambda n: n % FOLDS == fold)
 
 
 def utias() -> Robot:
@@ -209,6 +213,20 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
         for name in ("lab 104", "lab 105", "four wheels", "boat", "barge")
     },
 }
+
+
+def folds(name: str) -> list[Robot]:
+    """Return a robot of :data:`ROBOTS`, once for each part of its log that is held out in turn."""
+    return [f1tenth(fold) for fold in range(FOLDS)] if name == "f1tenth" else [ROBOTS[name]()]
+
+
+def mean_of(results: list) -> Any:
+    """Return the mean of results of the same shape: dictionaries and lists of numbers."""
+    if isinstance(results[0], dict):
+        return {key: mean_of([one[key] for one in results]) for key in results[0]}
+    if isinstance(results[0], list):
+        return [mean_of(list(own)) for own in zip(*results, strict=True)]
+    return sum(results) / len(results)
 
 
 def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -> Cut:
@@ -392,29 +410,34 @@ def main() -> None:
     kept = json.loads(options.peers.read_text()) if options.peers and options.peers.exists() else {}
     results: dict[str, dict] = {}
     for name in names:
-        robot = ROBOTS[name]()
+        robots, parts = folds(name), []
         key = f"{name}, seed {options.seed}, {'quick' if options.quick else 'full'}"
+        key += f", {len(robots)} folds" if len(robots) > 1 else ""
         if key not in kept:
-            kept[key] = measured(robot, options.seed, options.quick)
+            kept[key] = mean_of([measured(one, options.seed, options.quick) for one in robots])
             if options.peers:
                 files.write_text(options.peers, json.dumps(kept))
-        data, began = data_of(robot), time.monotonic()
-        simulator = learn(data, options.seed, without=tuple(options.without))
-        seconds = time.monotonic() - began
-        ours: dict[str, dict] = {}
-        for length in lengths_of(robot):
-            judged = cut(robot.held_out, length, APART, JUDGED)
-            draws = DRAWS // 4 if options.quick else DRAWS
-            mean, sampled = samples(simulator, judged, draws, options.seed)
-            ours[f"{length:g}"] = {
-                "windows": len(judged.moved),
-                "error": off(mean, judged),
-                "coverage": held(sampled, judged),
-            }
+        for robot in robots:
+            data, began = data_of(robot), time.monotonic()
+            simulator = learn(data, options.seed, without=tuple(options.without))
+            part: dict[str, Any] = {"rows": len(data.x), "seconds": time.monotonic() - began}
+            part["ours"] = {}
+            for length in lengths_of(robot):
+                judged = cut(robot.held_out, length, APART, JUDGED)
+                draws = DRAWS // 4 if options.quick else DRAWS
+                mean, sampled = samples(simulator, judged, draws, options.seed)
+                part["ours"][f"{length:g}"] = {
+                    "windows": len(judged.moved),
+                    "error": off(mean, judged),
+                    "coverage": held(sampled, judged),
+                }
+            parts.append(part)
+        together = mean_of(parts)
+        ours = together["ours"]
         errors = {length: own["error"] for length, own in ours.items()}
         results[name] = {
-            "rows": len(data.x),
-            "seconds": round(seconds, 1),
+            "rows": round(together["rows"]),
+            "seconds": round(together["seconds"], 1),
             "ours": ours,
             "peers": kept[key],
             "ratios": ratios(errors, kept[key], False),
@@ -434,7 +457,7 @@ def words(name: str, result: dict) -> str:
     for length, own in result["ours"].items():
         peers = result["peers"][length]
         lines.append(
-            f"  {length} s, {own['windows']} windows" + " " * 9 + "dx cm  dy cm dtheta deg"
+            f"  {length} s, {own['windows']:g} windows" + " " * 9 + "dx cm  dy cm dtheta deg"
         )
         ordered = {"ours": own, **peers}
         for label, one in ordered.items():

@@ -60,6 +60,7 @@ def main() -> None:
     parser.add_argument("--logs", default="", help="a,b,... of real_robots.py; or all")
     parser.add_argument("--rows", default="1000", help="to learn from, a,b,...")
     parser.add_argument("--seeds", type=int, default=1, help="recordings of each robot")
+    parser.add_argument("--without", nargs="+", default=(), help="parts left out: spread")
     parser.add_argument("--kept", type=Path, metavar="FILE", help="keeps results")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -86,7 +87,7 @@ def main() -> None:
                 key = f"{label}|{count}|{seed}"
                 run = known.get(key)
                 if run is None:
-                    known.put(key, run := measured(name, count, seed))
+                    known.put(key, run := measured(name, count, seed, tuple(options.without)))
                 runs.append(run)
             result[count][label] = means(runs)
             if not options.json:
@@ -127,16 +128,16 @@ def _log(name: str) -> tuple[logs.Robot, TrainingData]:
     return robot, logs.data_of(robot)
 
 
-def of_log(name: str, count: int, seed: int) -> dict[str, list]:
+def of_log(name: str, count: int, seed: int, without: tuple[str, ...] = ()) -> dict[str, list]:
     """Return the fractions [3, L] of held-out windows that lie within the intervals of LEVELS.
 
-    The result is empty if the log has fewer rows.
+    The result is empty if the log has fewer rows. ``without``: parts of the trainer, left out.
     """
     robot, data = _log(name)
     if len(data.x) < count:
         return {}
     start = int(np.random.default_rng([seed, 3]).integers(len(data.x) - count + 1))
-    simulator = learn(data.part(slice(start, start + count)), seed)
+    simulator = learn(data.part(slice(start, start + count)), seed, without=without)
     fractions = []
     for length in logs.lengths_of(robot):
         windows = logs.cut(robot.held_out, length, logs.APART, WINDOWS)
@@ -145,12 +146,13 @@ def of_log(name: str, count: int, seed: int) -> dict[str, list]:
     return {"windows": np.mean(fractions, axis=0).tolist()}
 
 
-def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
+def of_zoo(name: str, count: int, seed: int, without: tuple[str, ...] = ()) -> dict[str, list]:
     """Return of each kind of commands the fractions [3 or 5, L] within the intervals of LEVELS."""
     robot = ZOO[name]
     drives = rows(robot, count, seed)
     x, y = torch.tensor(drives.x), torch.tensor(drives.y)
-    simulator = learn(TrainingData(robot.inputs, x, y, poses_within(drives)), seed)
+    data = TrainingData(robot.inputs, x, y, poses_within(drives))
+    simulator = learn(data, seed, without=without)
     results = {}
     for number, (kind, commands) in enumerate(KINDS.items()):
         rng = np.random.default_rng([seed, number, 5])

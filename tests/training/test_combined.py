@@ -8,7 +8,7 @@ from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.kernel_units import covariance
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import TrainingData
-from neurosim.training.coverage import central_ranks
+from neurosim.training.coverage import central, central_ranks, draw_displacements
 from neurosim.training.error_size import row_weights
 from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
 from neurosim.training.trainers.drive_fit import Motion, fit_again, fit_drive
@@ -260,6 +260,21 @@ def test_intervals_hold_when_rows_are_few():
         ranks.append(central_ranks(simulator, fresh.x.numpy(), fresh.y.numpy(), draws=100))
     held = (np.stack(ranks) <= 0.8).mean((0, 1))
     assert held == pytest.approx(0.8, abs=0.12)
+
+
+@pytest.mark.slow
+def test_intervals_hold_for_beginnings_of_commands_when_rows_are_few():
+    """Whole commands alone do not tell how noise depends on the time: it is the same here."""
+    fresh, held = drive_data(300, seed=99, noise=0.01), []
+    row, time, moved = (part[fresh.within.time < 0.5] for part in fresh.within)
+    for seed in range(2):
+        simulator = trained(drive_data(24, seed=seed, noise=0.01), members=8, noise=True)
+        inputs = simulator.chained(fresh.x)[row]
+        inputs[:, simulator.columns.duration] *= time / fresh.x[row, 4]
+        generator = torch.Generator().manual_seed(0)
+        sampled = draw_displacements(simulator, inputs, 100, generator)
+        held.append(central(sampled.numpy(), moved.numpy()) <= 0.8)
+    assert np.mean(held, axis=(0, 1)) == pytest.approx(0.8, abs=0.12)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.evaluate import compare, predict
 from neurosim.training.train import learn, training_data
 from neurosim.training.trainers.drive_fit import Actuators, Fit
-from neurosim.training.trainers.windows import LENGTHS, Chains, windows_of
+from neurosim.training.trainers.windows import LENGTHS, Chains, runs_of, windows_of
 from tracking.datasets.dataset import make
 from tracking.datasets.logs import Log, Settings, any_rows_of, inputs_of
 
@@ -106,6 +106,18 @@ def test_windows_by_hand():
     assert all(not first < 8 < end for first, end, _ in result)
     # Windows of a length that do not overlap have the weight of their duration over the longest.
     assert windows.weight[:12].tolist() == pytest.approx([0.25 / 2.0 / len(LENGTHS)] * 12)
+
+
+def test_runs_of_commands_by_hand():
+    runs = runs_of(12)
+    result = list(zip(*(part.tolist() for part in runs[:3]), strict=True))
+    assert result[:12] == [(k, k + 1, 0) for k in range(12)]
+    assert [one for one in result if one[2] == 1] == [(k, k + 3, 1) for k in range(10)]
+    assert [one for one in result if one[2] == 2] == [(0, 10, 2), (2, 12, 2)]
+    # Each length has a third of the weight, and runs of ten that do not overlap would weigh 1.
+    assert runs.weight[runs.kind == 0].sum() == pytest.approx(12 / 10 / 3)
+    assert runs.weight[runs.kind == 2].tolist() == pytest.approx([2 / 10 / 3] * 2)
+    assert len(runs_of(1).first) == 1
 
 
 def joystick(rng, seconds, model, held=(2, 8), dt=0.05):

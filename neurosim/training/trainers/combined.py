@@ -43,7 +43,7 @@ from neurosim.training.noise import fit_noise, fit_spread
 from neurosim.training.trainers.drive_fit import Fit, Motion, fit_again, fit_drive
 from neurosim.training.trainers.floor_fit import FloorFit, evened, fit_floor
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
-from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
+from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, runs_of, windows_of
 
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
@@ -120,7 +120,8 @@ class CombinedSettings(Checked):
             ``swing`` (how a caster turns when the direction changes), ``process`` (the Gaussian
             process), ``row_weights`` (rows with larger errors count less), ``drive_members`` (a
             drive model for each member), ``floor`` (a map of the slip over the board), ``spread``
-            (the size of noise and of members' differences by windows of a log).
+            (the size of noise and of members' differences by runs of commands or windows of a
+            log).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -160,6 +161,22 @@ class Residuals(NamedTuple):
     left: Tensor
     factor: Tensor
     weight: Tensor
+
+
+class _Parts(NamedTuple):
+    """Parts of commands, [K] each.
+
+    Attributes:
+        command: index of the whole row.
+        begins: in the command, s.
+        lasts: s.
+        y: displacements, [K, 3].
+    """
+
+    command: Tensor
+    begins: Tensor
+    lasts: Tensor
+    y: Tensor
 
 
 class CombinedTrainer:
@@ -236,11 +253,13 @@ class CombinedTrainer:
             self._dead_band[list(places)] = fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
         #: Index of each row's command.
-        self._command = torch.arange(len(x))
-        if not settings.whole_commands and data.within is not None and len(data.within.row):
-            parts, commands = self._parts(rows.x)
-            rows = Residuals(*(torch.cat(pair) for pair in zip(rows, parts, strict=True)))
-            self._command = torch.cat([self._command, commands])
+        self._command, self._cut = torch.arange(len(x)), self._parts(rows.x)
+        if self._cut is not None:
+            parts = self._part_inputs(self._drive, rows.x)
+            weight = torch.full_like(self._cut.y[:, 0], settings.part_weight)
+            more = self._residuals(parts, self._cut.y, weight)
+            rows = Residuals(*(torch.cat(pair) for pair in zip(rows, more, strict=True)))
+            self._command = torch.cat([self._command, self._cut.command])
         self._rows = rows
         return rows.left[: len(x)].square().mean(0)
 
@@ -269,13 +288,17 @@ class CombinedTrainer:
         left, factor = _left(*phases, x[:, self._columns.duration], y)
         return Residuals(x, y, x[:, : len(self._data.inputs)], left, factor, weight)
 
-    def _parts(self, x: Tensor) -> tuple[Residuals, Tensor]:
-        """Return rows of parts of commands, and the indices of their commands.
+    def _parts(self, x: Tensor) -> _Parts | None:
+        """Return the parts of commands that are learned from; None: whole commands alone.
 
         Alternate instants give the beginning until then, or the rest from then on.
+
+        Args:
+            x: inputs of the whole rows by the drive model.
         """
         within, columns = self._data.within, self._columns
-        assert within is not None
+        if self._settings.whole_commands or within is None or not len(within.row):
+            return None
         # A limited number, with several parts for each command.
         stride = -(-len(within.row) // self._settings.most_parts)
         stride += stride > 1 and stride % 2 == 0  # the two kinds take turns
@@ -284,21 +307,36 @@ class CombinedTrainer:
         left = x[within.row, columns.duration] * self._longest - time
         odd = torch.arange(len(within.row)) % 2 == 1
         until, since = ~odd & (time >= _SHORTEST), odd & (left >= _SHORTEST)
-        begun, rest = x[within.row[until]].clone(), x[within.row[since]].clone()
-        begun[:, columns.duration] = time[until] / self._longest
-        commanded = rest[:, list(columns.driven)]
-        under = rows_underway(self._drive, columns, rest)
-        speed, _ = self._drive.reached(under, commanded, time[since])
-        rest[:, list(columns.before)] = speed
-        rest[:, len(self._data.inputs) :] = commanded  # it acts already
-        rest[:, columns.duration] = left[since] / self._longest
-        after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
         # A rest is like a separate command only if no command is pending.
-        alike = ((commanded - speed).abs().amax(1) < _SETTLED) | (time[since] >= self._drive.delay)
-        inputs, y = torch.cat([begun, rest[alike]]), torch.cat([moved[until], after[alike]])
-        weight = torch.full_like(y[:, 0], self._settings.part_weight)
-        commands = torch.cat([within.row[until], within.row[since][alike]])
-        return self._residuals(inputs, y, weight), commands
+        commanded, speed = self._when(self._drive, x, within.row[since], time[since])
+        settled = (commanded - speed).abs().amax(1) < _SETTLED
+        since[since.clone()] = settled | (time[since] >= self._drive.delay)
+        after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
+        command = torch.cat([within.row[until], within.row[since]])
+        begins = torch.cat([torch.zeros_like(time[until]), time[since]])
+        lasts = torch.cat([time[until], left[since]])
+        return _Parts(command, begins, lasts, torch.cat([moved[until], after]))
+
+    def _when(
+        self, drive: DriveModel, x: Tensor, row: Tensor, time: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the commands of rows [K], and the speeds reached at a time (s) in them."""
+        under = rows_underway(drive, self._columns, x[row])
+        commanded = x[row][:, list(self._columns.driven)]
+        return commanded, drive.reached(under, commanded, time)[0]
+
+    def _part_inputs(self, drive: DriveModel, x: Tensor) -> Tensor:
+        """Return the inputs of parts of commands, from a drive model's of the whole rows."""
+        assert self._cut is not None
+        command, begins, lasts, _ = self._cut
+        inputs, rest = x[command].clone(), begins > 0.0
+        commanded, speed = self._when(drive, x, command[rest], begins[rest])
+        there = inputs[rest]
+        there[:, list(self._columns.before)] = speed
+        there[:, len(self._data.inputs) :] = commanded  # it acts already
+        inputs[rest] = there
+        inputs[:, self._columns.duration] = lasts / self._longest
+        return inputs
 
     # The Gaussian process
 
@@ -428,14 +466,15 @@ class CombinedTrainer:
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
     def _of_others(self, outputs: Tensor, part: Tensor) -> Tensor:
-        """Return displacements [N, 3] of whole rows by drive models of the other parts' rows.
+        """Return displacements [N, 3] of rows by drive models of the other parts' rows.
 
         Args:
-            outputs: outputs [N, 3] of the process, which has not seen the rows either.
-            part: number of each row's part, [N].
+            outputs: outputs [N, 3] of the process, which has not seen the rows either; of whole
+                rows, or also of parts of commands.
+            part: number of each whole row's part.
         """
         seen = torch.stack([part != k for k in range(int(part.max()) + 1)]).to(outputs)
-        if len(outputs) > SCARCE:
+        if len(part) > SCARCE:
             fits = fit_again(self._fit, seen)
         else:
             each = map(self._motion.weighted, seen)
@@ -445,10 +484,15 @@ class CombinedTrainer:
         means = []
         for fit in fits:
             x, under = self._inputs(fit)
-            changing, twist = self._phases(fit.drive, x, under)
+            phases = [self._phases(fit.drive, x, under)]
+            if len(outputs) > len(x):
+                x = torch.cat([x, self._part_inputs(fit.drive, x)])
+                phases.append(self._phases(fit.drive, x[len(part) :]))
+            changing, twist = (torch.cat(both) for both in zip(*phases, strict=True))
             twist = twist + x[:, self._columns.duration, None] * outputs
             means.append(se2.compose(changing, se2.exp(twist)))
-        return torch.stack(means)[part, torch.arange(len(part))]
+        number = part[self._command[: len(outputs)]]
+        return torch.stack(means)[number, torch.arange(len(outputs))]
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
         """Return the weight of the process for each output, [3].
@@ -516,7 +560,7 @@ class CombinedTrainer:
         unseen = (best.unseen * fractions).T
         if settings.noise:
             simulator.noise = noise = self._noise(simulator, unseen)
-            if self._windows is not None and "spread" not in settings.without:
+            if "spread" not in settings.without:
                 each = self._spread(noise, unseen, torch.cat([linear, kernel], 2))
                 linear, kernel = (
                     part[:1] + each[1] * (part - part[:1]) for part in (linear, kernel)
@@ -568,11 +612,10 @@ class CombinedTrainer:
         rows, whole = self._rows, len(self._data.x)
         moved = self._moved_evenly()
         few = whole <= FEW
+        some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
         if few:
-            some = slice(whole)
-            mean = self._of_others(unseen[some], (~self._half[some]).long())
+            mean = self._of_others(unseen, (~self._half[:whole]).long())[some]
         else:
-            some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
             mean = simulator.from_outputs(unseen[some], rows.x[some])
         # The parts of a command repeat the same noise.
         weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
@@ -590,7 +633,7 @@ class CombinedTrainer:
         """Return factors of the noise [3], and of the members' differences [3, 1], for windows.
 
         The noise of a row includes that of the poses at its ends, which does not add up in a
-        window; the mistakes of a slow robot do, more than those of members.
+        window; mistakes do, those of a slow robot more than the members' differences.
 
         Args:
             noise: learned from rows.
@@ -598,9 +641,9 @@ class CombinedTrainer:
             weights: of the mean and the members, of one, inputs and units, [M, 3, 1 + J + K].
         """
         rows, whole = self._rows, len(self._data.x)
-        assert self._windows is not None
-        stride = -(-len(self._windows.first) // self._settings.noise_rows)
-        windows = Windows(*(part[::stride] for part in self._windows))
+        windows = runs_of(whole) if self._windows is None else self._windows
+        stride = -(-len(windows.first) // self._settings.noise_rows)
+        windows = Windows(*(part[::stride] for part in windows))
         row, block = torch.arange(whole), min(-(-whole // PARTS), BLOCK)
         mean = self._of_others(unseen[:whole], row // block % PARTS)
 

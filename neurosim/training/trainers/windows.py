@@ -34,6 +34,8 @@ from neurosim.training.trainers.drive_fit import (
 
 #: Durations of windows, s, and number of windows that begin within the length of one.
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
+#: Numbers of commands in a row, where each is long enough to be learned from by itself.
+RUNS = (1, 3, 10)
 #: Longest piece of constant twist, s.
 PIECE = 0.1
 #: Prior fraction of the motion that products of speeds explain. It is larger than for held
@@ -91,6 +93,19 @@ def windows_of(time: Tensor, joined: Tensor) -> Windows:
                 own = min(begin - last, lasts) / LENGTHS[-1] / len(LENGTHS)
                 windows.append((first, until, kind, min(own, 1.0)))
                 last = begin
+    first_, end_, kind_, weight = np.array(windows).reshape(-1, 4).T
+    whole = [torch.tensor(each.astype(np.int64)) for each in (first_, end_, kind_)]
+    return Windows(*whole, torch.tensor(weight))
+
+
+def runs_of(rows: int) -> Windows:
+    """Return windows of :data:`RUNS` successive rows, for rows that are commands of their own."""
+    windows = []
+    for kind, length in enumerate(RUNS):
+        stride = max(length // OVERLAP, 1)
+        each = stride / RUNS[-1] / len(RUNS)
+        firsts = range(0, rows - length + 1, stride)
+        windows += [(first, first + length, kind, each) for first in firsts]
     first_, end_, kind_, weight = np.array(windows).reshape(-1, 4).T
     whole = [torch.tensor(each.astype(np.int64)) for each in (first_, end_, kind_)]
     return Windows(*whole, torch.tensor(weight))
