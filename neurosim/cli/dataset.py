@@ -11,7 +11,7 @@ import click
 from neurosim.base.declared import Delay, Seconds
 from neurosim.base.errors import UserError, counted
 from neurosim.cli._common import emit, is_given, json_option, next_step
-from neurosim.cli._types import PATH, Pairs, ranged
+from neurosim.cli._types import PATH, Listed, Pairs, ranged
 
 #: Options of some sources only: parameter -> the sources.
 _ONLY: dict[str, tuple[str, ...]] = {
@@ -26,6 +26,7 @@ _ONLY: dict[str, tuple[str, ...]] = {
             "rows",
             "from_rest",
             "session",
+            "counters",
             "keep",
             "length",
             "angle",
@@ -116,6 +117,12 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
         "where the clock starts again, or is silent for long]"
     ),
 )
+@click.option(
+    "--counters",
+    type=Listed(click.STRING),
+    metavar="NAME,...",
+    help="csv: commands of a log that are counters, as of wheels: how fast they count is used.",
+)
 @click.option("--keep", is_flag=True, help="csv: keep headings that do not fit the motion.")
 @_unit("length", ["m", "cm", "mm"], "unit of x, y, dx, dy.")
 @_unit("angle", ["rad", "deg"], "unit of headings and dtheta.")
@@ -159,6 +166,7 @@ def dataset(
     rows: bool,
     from_rest: bool,
     session: str | None,
+    counters: tuple[str, ...] | None,
     keep: bool,
     longest: float,
     shortest: float,
@@ -210,6 +218,7 @@ def dataset(
                 conventions=Conventions(**conventions),
                 settings=pieces,
                 session=session,
+                counters=counters or (),
             )
     warnings = [*made.meta.get("warnings", ()), *_too_few(len(made))]
     for warning in warnings:

@@ -45,7 +45,7 @@ def imported(tmp_path):
     """Write a log and import it; return the dataset and its warnings in one text."""
 
     def run(time, poses, commands, names="v,w", settings=None, conventions=None, **more):
-        session = more.pop("session", None)
+        session, counters = more.pop("session", None), more.pop("counters", ())
         number = len(list(tmp_path.iterdir()))
         path = write(tmp_path / f"{number}.csv", time, poses, commands, names, **more)
         made = import_csv(
@@ -55,6 +55,7 @@ def imported(tmp_path):
             settings=settings,
             conventions=conventions,
             session=session,
+            counters=counters,
         )
         return made, "\n".join(made.meta["warnings"])
 
@@ -351,3 +352,45 @@ def test_a_model_car_driven_by_hand(shared_data, tmp_path):
     assert made.meta["windows"] is True
     assert made.table["duration"].sum() > 0.98 * 67.8
     assert made.meta["warnings"] == []
+
+
+def counted_wheels(poses, ticks=3000.0, track=0.2):
+    """Return the counts (N, 2) of the wheels, by counters of 16 bits, of a robot with poses."""
+    moved = se2.between(poses[:-1], poses[1:])
+    turn = np.angle(np.exp(1j * moved[:, 2]))
+    ahead = np.cos(turn / 2) * moved[:, 0] + np.sin(turn / 2) * moved[:, 1]
+    each = np.stack([ahead - turn * track / 2, ahead + turn * track / 2], 1)
+    counts = ticks * np.concatenate([[[20.0, 2.0]], 20.0 + each.cumsum(0)])
+    return np.floor(counts) % 2**16
+
+
+def test_counters_of_wheels_become_how_fast_they_count(imported):
+    time, poses, _ = drive(120.0)
+    counts = counted_wheels(poses)
+    assert np.abs(np.diff(counts, axis=0)).max() > 6e4  # one begins again
+    _, raw = imported(time, poses, counts, "left,right")
+    assert "--counters left,right" in raw
+    made, warnings = imported(time, poses, counts, "left,right", counters=("left", "right"))
+    assert warnings == ""
+    assert {"name": "left", "unit": "1/s"} in made.meta["inputs"]
+    table = made.table
+    speed = (table["left"] + table["right"]) / 2 / 3000.0
+    turn = (table["right"] - table["left"]) / 3000.0 / 0.2
+    off = np.abs(turn * table["duration"] - table["dtheta"])
+    assert off.median() < 0.02
+    assert np.abs(speed * table["duration"] - table["dx"]).median() < 0.002
+
+
+def test_commands_that_were_sent_are_no_counters(imported):
+    for seed in range(3):
+        assert "counters" not in imported(*drive(60.0, seed=seed))[1]
+
+
+def test_counters_that_do_not_exist_or_are_not_of_a_log_are_refused(imported, tmp_path):
+    time, poses, commands = drive(20.0)
+    with pytest.raises(UserError, match="ticks is to be a counter, but no command"):
+        imported(time, poses, commands, counters=("ticks",))
+    rows = tmp_path / "rows.csv"
+    rows.write_text("duration,v,w,dx,dy,dtheta\n" + "1.0,0.1,0,0.1,0,0\n" * 9)
+    with pytest.raises(UserError, match="--counters is for logs"):
+        import_csv(rows, tmp_path / "out", counters=("v",))

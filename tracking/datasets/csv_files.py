@@ -65,6 +65,7 @@ def import_csv(
     conventions: Conventions | None = None,
     settings: logs.Settings | None = None,
     session: str | None = None,
+    counters: Sequence[str] = (),
 ) -> Dataset:
     """Turn logs, or files with a line for each command, into a dataset.
 
@@ -87,6 +88,8 @@ def import_csv(
         settings: of the conversion of a log to rows.
         session: the file's name of a column with the drive of each line of a log; without it,
             another drive begins where the clock starts again or is silent for long.
+        counters: commands whose columns in a log are counters, as of wheels; how fast they count
+            is the command.
 
     Returns:
         The dataset; ``meta["warnings"]`` has a sentence for each suspicious finding.
@@ -117,7 +120,13 @@ def import_csv(
             raise UserError(
                 f"a unit is given for {name}, which is not a command; {_listed(commands)}"
             )
+    for name in counters:
+        if name not in commands:
+            raise UserError(f"{name} is to be a counter, but no command; {_listed(commands)}")
+        units.setdefault(name, "1/s")
     units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
+    if shape == "rows" and counters:
+        raise UserError("--counters is for logs; in a file of rows a command is a number")
     if shape == "log" and from_rest:
         raise UserError("a log contains the command before each command; leave out --from-rest")
     if shape == "rows" and session is not None:
@@ -136,7 +145,7 @@ def import_csv(
     if shape == "log":
         drives: list[logs.Log] = []
         for name, table in zip(names, tables, strict=True):
-            of_file, notes = _logs(table, name, commands, conventions, settings, session)
+            of_file, notes = _logs(table, name, commands, conventions, settings, session, counters)
             drives += of_file
             warnings += [f"{table.path}: {sentence}" for sentence in notes]
         drives, notes = in_step(drives, settings.delay)
@@ -150,10 +159,12 @@ def import_csv(
             drives = [
                 drive
                 for name, table in both
-                for drive in _logs(table, name, commands, read, settings, session)[0]
+                for drive in _logs(table, name, commands, read, settings, session, counters)[0]
             ]
         moved = suspicious.moved_in(drives)
-        warnings += suspicious.always_changing(drives, commands)
+        counting = suspicious.counting(moved, commands)
+        sent = [name for name in commands if name not in counters]
+        warnings += counting or suspicious.always_changing(drives, commands, sent)
     else:
         for name, table in zip(names, tables, strict=True):
             part, out_of_it = _rows(table, name, commands, from_rest, conventions)
@@ -168,6 +179,7 @@ def import_csv(
             "shape": shape,
             "columns": columns,
             **asdict(conventions),
+            **({"counters": list(counters)} if counters else {}),
             **(asdict(settings) if shape == "log" else {"from_rest": from_rest}),
         },
         reasons=logs.REASONS if shape == "log" else ROW_REASONS,
@@ -265,6 +277,7 @@ def _logs(
     conventions: Conventions,
     settings: logs.Settings,
     session: str | None,
+    counters: Sequence[str],
 ) -> tuple[list[logs.Log], list[str]]:
     """Read a log; return its drives, and sentences on findings."""
     time = table.numbers("time") * TIMES[conventions.time]
@@ -280,6 +293,8 @@ def _logs(
     seen = np.isfinite(poses).all(axis=1)
     if not seen.any():
         raise FileError(table.path, "no line has a pose: x, y and heading are never all given")
+    for place in (commands.index(name) for name in counters):
+        values[:, place] = _rate(time, values[:, place])
     labels = None if session is None else table.texts(session)
     if labels is not None:
         check_labels(table.path, session or "", labels)
@@ -287,6 +302,23 @@ def _logs(
     if not drives:
         raise FileError(table.path, "no drive in it has two samples and a pose")
     return drives, warnings
+
+
+def _rate(time: NDArray, counts: NDArray) -> NDArray:
+    """Return how fast a counter (N,) counts from each sample to the next, 1/s.
+
+    Counters of 16 and 32 bits begin again at their end. Where time does not go on, the rate is that
+    of before.
+    """
+    steps, lasts = np.diff(counts), np.diff(time)
+    for size in (2.0**16, 2.0**32):
+        steps = np.where(
+            np.abs(np.abs(steps) / size - 1.0) < 0.1, steps - np.copysign(size, steps), steps
+        )
+    known = np.append(lasts > 0, False)
+    rate = np.append(steps / np.where(lasts > 0, lasts, 1.0), 0.0)
+    before = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
+    return np.where(known[before], rate[before], 0.0)
 
 
 def _in_degrees(table: _Table) -> bool:

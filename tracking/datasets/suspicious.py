@@ -33,6 +33,8 @@ _OBEYS, _MENDED = 5.0, 2.5
 _RIGHT = "commands, speeds and times do not fit each other: they would with {}"
 #: Duration over which motion is measured, s.
 _SPAN = 0.1
+#: Smallest number of samples of the motion, and fraction of its variance that counters explain.
+_FEW, _COUNTED = 30, 0.5
 #: Fraction of changing lines above which a command counts as measured or computed.
 _ALWAYS = 0.9
 
@@ -78,18 +80,20 @@ class Moved:
         commands: (K, C).
         twist: (K, 3) of the motion, m/s, m/s, rad/s.
         apart: seconds from one sample to the next; None for rows, whose lines are commands.
+        changes: (K, C) of the commands during the motion, 1/s; None for rows.
     """
 
     commands: NDArray
     twist: NDArray
     apart: float | None
+    changes: NDArray | None = None
 
 
 def moved_in(logs: Sequence[Log]) -> Moved:
     """Return the motion in logs, in steps of :data:`_SPAN` or two samples."""
     apart = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
     span = max(_SPAN, 2.0 * apart)
-    commands, twists = [], []
+    commands, twists, changes = [], [], []
     for log in logs:
         grid = np.arange(log.pose_time[0], log.pose_time[-1] - span, span)
         grid = grid[is_known(log.pose_time, grid, 2.0 * span)] if len(grid) else grid
@@ -97,7 +101,13 @@ def moved_in(logs: Sequence[Log]) -> Moved:
         twists.append(_twist(displacement, np.full(len(grid), span)))
         place = np.searchsorted(log.time, grid + span / 2, side="right") - 1
         commands.append(log.commands[np.clip(place, 0, len(log.time) - 1)])
-    return Moved(np.concatenate(commands), np.concatenate(twists), apart)
+        first, last = (
+            np.column_stack([np.interp(at, log.time, own) for own in log.commands.T])
+            for at in (grid, grid + span)
+        )
+        changes.append((last - first) / span)
+    parts = (np.concatenate(part) for part in (commands, twists))
+    return Moved(*parts, apart, np.concatenate(changes))
 
 
 def _twist(displacement: NDArray, duration: NDArray) -> NDArray:
@@ -288,16 +298,50 @@ def _turns(
     return []
 
 
-def always_changing(logs: Sequence[Log], names: Sequence[str]) -> list[str]:
-    """Return a sentence if commands change with every sample, like measured ones."""
+def always_changing(logs: Sequence[Log], names: Sequence[str], sent: Sequence[str]) -> list[str]:
+    """Return a sentence if commands change with every sample, like measured ones.
+
+    Args:
+        logs: of a robot.
+        names: of its commands.
+        sent: those that should be as they were sent.
+    """
     changes = np.concatenate([np.diff(log.commands, axis=0) != 0 for log in logs])
     busy = [name for name, each in zip(names, changes.T, strict=True) if each.mean() > _ALWAYS]
+    busy = [name for name in busy if name in sent]
     if not busy:
         return []
     return [
         f"{' and '.join(busy)} change with every sample, as measured speeds do: name the columns "
         "of the sent commands in --columns, if they exist"
     ]
+
+
+def counting(moved: Moved, names: Sequence[str]) -> list[str]:
+    """Return a sentence if the robot moves as fast as commands change, as counters of wheels do."""
+    if moved.changes is None or len(moved.twist) < _FEW:
+        return []
+    explained = [_explained(inputs, moved.twist) for inputs in (moved.changes, moved.commands)]
+    if explained[0] < _COUNTED or explained[1] > _COUNTED / 2.0:
+        return []
+    return [
+        f"the robot moves as fast as {' and '.join(names)} change: if they are counters, as of "
+        f"wheels, import it with --counters {','.join(names)}"
+    ]
+
+
+def _explained(inputs: NDArray, twist: NDArray) -> float:
+    """Return the fraction of the variance of the motion (K, 3) that inputs (K, C) explain.
+
+    Far larger inputs do not count, such as where a counter begins again.
+    """
+    usual = (np.abs(inputs) <= 10.0 * np.quantile(np.abs(inputs), 0.9, axis=0)).all(1)
+    inputs, twist = inputs[usual], twist[usual]
+    with_one = np.column_stack([inputs / np.abs(inputs).max(0).clip(1e-12), np.ones(len(inputs))])
+    motion = twist[:, [0, 2]] - twist[:, [0, 2]].mean(0)
+    motion = motion / motion.std(0).clip(1e-12)
+    left = motion - with_one @ np.linalg.lstsq(with_one, motion, rcond=None)[0]
+    return 1.0 - float(left.var(0).sum() / max(motion.var(0).sum(), 1e-12))
 
 
 def wrapped(moved: Moved, duration: NDArray) -> int:
