@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -12,6 +13,8 @@ from typing import Any
 
 import numba
 
+#: Whether a thread keeps its kernels on one core.
+_ALONE = threading.local()
 #: Number of rows from which several cores are faster than one.
 WORTH_SHARING = 500
 
@@ -29,7 +32,8 @@ def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: i
         count: number of pieces.
         least: smallest number of pieces for which another core is worth starting.
     """
-    parts = min(numba.get_num_threads(), count // least) or 1
+    worth = count // least
+    parts = min(cores(), worth) if worth > 1 else 1
     if parts == 1:
         part(0, count)
         return
@@ -53,22 +57,24 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
+def cores() -> int:
+    """Return the number of cores that this thread's kernels may use."""
+    return 1 if getattr(_ALONE, "wanted", False) else numba.get_num_threads()
+
+
 @contextmanager
 def one_core(wanted: bool = True) -> Iterator[None]:
-    """Keep compiled kernels on one core if ``wanted``, for little work.
+    """Keep this thread's kernels on one core if ``wanted``, for little work.
 
     On a machine with other busy programs, a second core may cost a time slice of the scheduler,
-    which is more than the whole work.
+    which is more than the whole work. Numba's own limit would take longer than a step of a robot.
     """
-    if not wanted:
-        yield
-        return
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
+    before = getattr(_ALONE, "wanted", False)
+    _ALONE.wanted = wanted or before
     try:
         yield
     finally:
-        numba.set_num_threads(threads)
+        _ALONE.wanted = before
 
 
 @contextmanager

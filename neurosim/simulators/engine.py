@@ -27,12 +27,11 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import NDArray
 
 from neurosim.base.compiled import njit
 from neurosim.base.kernels import kernel
-from neurosim.base.threads import on_cores
+from neurosim.base.threads import cores, on_cores
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped
 from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
@@ -308,7 +307,7 @@ class CompiledRollouts(ThreadSafe):
         noise = _as_steps(draws.noise, self._simulator, samples, pilot.length)
         together = 1
         if pilot.open_loop:  # the samples of a single plan are distributed to the cores
-            together = -(-samples // get_num_threads()) if len(genes) == 1 else samples
+            together = -(-samples // cores()) if len(genes) == 1 else samples
         columns = 0 if pilot.open_loop else len(pilot.scale)
         poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
         ends = np.empty((len(genes), *begun.shape[1:]))

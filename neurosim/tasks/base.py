@@ -241,21 +241,22 @@ class Task(Checked):
         """Return the words for a failure, by its index in a judgement; they follow "the robot"."""
         return (*self.reasons, *ENDS)[reason]
 
-    def ended(self, judged: Judgement, code: NDArray[np.int64] | int) -> Judgement:
+    def ended(self, judged: Judgement, code: NDArray | int) -> Judgement:
         """Return the judgement of trials that the guard ended, if ``code`` is above 0, as failures.
 
         Args:
             judged: judgement of the robot's progress, [...].
             code: [...] or one for all, of :data:`neurosim.base.perimeter.ENDS`.
         """
-        stopped = np.broadcast_to(np.asarray(code) > 0, judged.success.shape)
+        stopped = np.asarray(code) > 0
         if not stopped.any():
             return judged
         penalty = np.where(stopped, self.stop_penalty, 0.0)
+        why = len(self.reasons) - 1 + np.asarray(code, np.int64)
         return replace(
             judged,
             success=judged.success & ~stopped,
-            reason=np.where(stopped, len(self.reasons) + np.asarray(code) - 1, judged.reason),
+            reason=np.where(stopped, why, judged.reason),
             fitness=judged.fitness - penalty,
             progress=judged.progress - penalty,
             over=judged.over | stopped,
@@ -415,7 +416,7 @@ class Records:
         judged = replace(self.task.worth(own), over=own[:, 0] > 0)
         if self.guard is None:
             return judged
-        return self.task.ended(judged, self.guard[rows, 3].astype(np.int64))
+        return self.task.ended(judged, self.guard[rows, 3])
 
 
 def _guard(poses: NDArray[np.float64]) -> NDArray[np.float64]:

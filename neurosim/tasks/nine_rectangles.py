@@ -111,7 +111,7 @@ class NineRectangles(Task):
         if len(numbers) < 3:
             raise UserError("a course has at least 3 rectangles to pass")
 
-    @property
+    @cached_property
     def last(self) -> int:
         """The number of the last goal: the start, reached again."""
         return int(self._grid[0].max()) + 1

@@ -8,7 +8,7 @@ import numba
 import pytest
 
 import neurosim
-from neurosim.base.threads import on_cores
+from neurosim.base.threads import cores, on_cores, one_core
 
 COMPILED = SimpleNamespace(overloads={"one": True})
 
@@ -21,6 +21,25 @@ def test_each_piece_is_done_once_on_as_many_cores_as_it_pays(monkeypatch, cores,
     on_cores(COMPILED, lambda first, last: parts.append((first, last)), count, least)
     assert sorted(n for first, last in parts for n in range(first, last)) == list(range(count))
     assert len(parts) == max(1, min(cores, count // least))
+
+
+def test_one_core_is_for_this_thread_and_until_its_end(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 3)
+    seen = []
+    with one_core():
+        with one_core(False):
+            assert cores() == 1
+        parts = []
+        on_cores(COMPILED, lambda first, last: parts.append((first, last)), 9)
+        other = threading.Thread(target=lambda: seen.append(cores()))
+        other.start()
+        other.join()
+    assert parts == [(0, 9)]
+    assert seen == [3]
+    assert cores() == 3
+    with pytest.raises(ValueError, match="within"), one_core():
+        raise ValueError("within")
+    assert cores() == 3
 
 
 def test_a_kernel_is_compiled_in_the_calling_thread(monkeypatch):

@@ -102,8 +102,7 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
 
     def driven(cores):
         fractions.clear()
-        for module in (engine, threads.numba):
-            monkeypatch.setattr(module, "get_num_threads", lambda: cores)
+        monkeypatch.setattr(threads.numba, "get_num_threads", lambda: cores)
         return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, samples=301).poses
 
     alone = driven(1)
