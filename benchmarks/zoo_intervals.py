@@ -84,7 +84,7 @@ def main() -> None:
         for label, name, measured in cases:
             runs = []
             for seed in range(options.seeds):
-                key = f"{label}|{count}|{seed}"
+                key = "|".join([f"{label}|{count}|{seed}", *options.without])
                 run = known.get(key)
                 if run is None:
                     known.put(key, run := measured(name, count, seed, tuple(options.without)))

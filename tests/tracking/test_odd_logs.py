@@ -384,11 +384,16 @@ def test_counters_of_wheels_become_how_fast_they_count(imported):
 def test_commands_that_were_sent_are_no_counters(imported):
     for seed in range(3):
         assert "counters" not in imported(*drive(60.0, seed=seed))[1]
+    # Neither are many commands that hardly ever change, each for a moment of its own.
+    time, poses, _ = drive(60.0)
+    rare = np.zeros((len(time), 24))
+    rare[np.arange(len(time)), np.arange(len(time)) // 50] = 1.0
+    assert "counters" not in imported(time, poses, rare, ",".join(f"c{n}" for n in range(24)))[1]
 
 
 def test_counters_that_do_not_exist_or_are_not_of_a_log_are_refused(imported, tmp_path):
     time, poses, commands = drive(20.0)
-    with pytest.raises(UserError, match="ticks is to be a counter, but no command"):
+    with pytest.raises(UserError, match="a counter is given for ticks, which is not a command"):
         imported(time, poses, commands, counters=("ticks",))
     rows = tmp_path / "rows.csv"
     rows.write_text("duration,v,w,dx,dy,dtheta\n" + "1.0,0.1,0,0.1,0,0\n" * 9)

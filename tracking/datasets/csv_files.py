@@ -115,15 +115,13 @@ def import_csv(
     tables = [_Table(path, columns) for path in inputs]
     shape = _shape(tables[0], rows)
     commands = _commands(tables[0], shape)
-    for name in units:
-        if name not in commands:
-            raise UserError(
-                f"a unit is given for {name}, which is not a command; {_listed(commands)}"
-            )
-    for name in counters:
-        if name not in commands:
-            raise UserError(f"{name} is to be a counter, but no command; {_listed(commands)}")
-        units.setdefault(name, "1/s")
+    for what, given in (("unit", units), ("counter", counters)):
+        for name in given:
+            if name not in commands:
+                raise UserError(
+                    f"a {what} is given for {name}, which is not a command; {_listed(commands)}"
+                )
+    units = dict.fromkeys(counters, "1/s") | units
     units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
     if shape == "rows" and counters:
         raise UserError("--counters is for logs; in a file of rows a command is a number")
@@ -312,9 +310,8 @@ def _rate(time: NDArray, counts: NDArray) -> NDArray:
     """
     steps, lasts = np.diff(counts), np.diff(time)
     for size in (2.0**16, 2.0**32):
-        steps = np.where(
-            np.abs(np.abs(steps) / size - 1.0) < 0.1, steps - np.copysign(size, steps), steps
-        )
+        again = np.abs(np.abs(steps) / size - 1.0) < 0.1
+        steps = np.where(again, steps - np.copysign(size, steps), steps)
     known = np.append(lasts > 0, False)
     rate = np.append(steps / np.where(lasts > 0, lasts, 1.0), 0.0)
     before = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))

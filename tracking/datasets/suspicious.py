@@ -307,8 +307,8 @@ def always_changing(logs: Sequence[Log], names: Sequence[str], sent: Sequence[st
         sent: those that should be as they were sent.
     """
     changes = np.concatenate([np.diff(log.commands, axis=0) != 0 for log in logs])
-    busy = [name for name, each in zip(names, changes.T, strict=True) if each.mean() > _ALWAYS]
-    busy = [name for name in busy if name in sent]
+    always = dict(zip(names, changes.mean(0) > _ALWAYS, strict=True))
+    busy = [name for name in sent if always[name]]
     if not busy:
         return []
     return [
@@ -336,6 +336,8 @@ def _explained(inputs: NDArray, twist: NDArray) -> float:
     Far larger inputs do not count, such as where a counter begins again.
     """
     usual = (np.abs(inputs) <= 10.0 * np.quantile(np.abs(inputs), 0.9, axis=0)).all(1)
+    if usual.sum() < _FEW:
+        return 0.0
     inputs, twist = inputs[usual], twist[usual]
     with_one = np.column_stack([inputs / np.abs(inputs).max(0).clip(1e-12), np.ones(len(inputs))])
     motion = twist[:, [0, 2]] - twist[:, [0, 2]].mean(0)
