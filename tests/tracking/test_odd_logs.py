@@ -360,7 +360,7 @@ def counted_wheels(poses, ticks=3000.0, track=0.2):
     turn = np.angle(np.exp(1j * moved[:, 2]))
     ahead = np.cos(turn / 2) * moved[:, 0] + np.sin(turn / 2) * moved[:, 1]
     each = np.stack([ahead - turn * track / 2, ahead + turn * track / 2], 1)
-    counts = ticks * np.concatenate([[[20.0, 2.0]], 20.0 + each.cumsum(0)])
+    counts = ticks * (20.0 + np.concatenate([np.zeros((1, 2)), each.cumsum(0)]))
     return np.floor(counts) % 2**16
 
 
@@ -377,8 +377,8 @@ def test_counters_of_wheels_become_how_fast_they_count(imported):
     speed = (table["left"] + table["right"]) / 2 / 3000.0
     turn = (table["right"] - table["left"]) / 3000.0 / 0.2
     off = np.abs(turn * table["duration"] - table["dtheta"])
-    assert off.median() < 0.02
-    assert np.abs(speed * table["duration"] - table["dx"]).median() < 0.002
+    assert off.max() < 0.02
+    assert np.abs(speed * table["duration"] - table["dx"]).max() < 0.002
 
 
 def test_commands_that_were_sent_are_no_counters(imported):
