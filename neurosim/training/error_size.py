@@ -35,6 +35,18 @@ def size_weights(features: Tensor, errors: Tensor, ridge: float) -> Tensor:
     return torch.linalg.solve(square, features.T @ log_size)
 
 
+def relative_size(x: Tensor, residuals: Tensor) -> Tensor:
+    """Return logarithms of the expected sizes of errors, minus their mean, [E, N].
+
+    Args:
+        x: scaled inputs, [N, I].
+        residuals: [E, N].
+    """
+    features = size_features(x)
+    scale = (features @ size_weights(features, residuals.T, ridge=1e-3)).T
+    return (scale - scale.mean(1, keepdim=True)).clamp(-3.0, 3.0)
+
+
 def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
     """Return weights of rows whose errors differ in size, for a more robust fit.
 
@@ -51,10 +63,7 @@ def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
     Returns:
         [E, N], with a mean square of one.
     """
-    features = size_features(x)
-    scale = (features @ size_weights(features, residuals.T, ridge=1e-3)).T
-    scale = scale - scale.mean(1, keepdim=True)
-    weights = torch.exp(-0.5 * scale.clamp(-3.0, 3.0))
+    weights = torch.exp(-0.5 * relative_size(x, residuals))
     size = residuals.abs() * weights
     # Twice the median of normal errors' magnitudes is 1.35 standard deviations.
     corner = (2.0 * size.median(1, keepdim=True).values).clamp(min=1e-300)

@@ -49,12 +49,14 @@ def alike(
     curve=(0.0,) * 6,
     delay=0.0,
     kinematics=None,
+    drag=0.0,
 ):
     """Return a drive model of two actuators that are alike, of a differential drive."""
     if kinematics is None:
         kinematics = [[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3]
     laws = [double([value, value]) for value in (lag, slowing, braking, rate, stick)]
-    return DriveModel(*laws, double([curve, curve]), double([delay]), double(kinematics))
+    rest = double([curve, curve]), double([delay]), double(kinematics)
+    return DriveModel(*laws, *rest, drag=double([drag, drag]))
 
 
 def pairs(low, high):
@@ -76,6 +78,7 @@ def drive_models(draw):
         braking=draw(pairs(0.3, 2.0)),
         rate=draw(pairs(0.5, 20.0)),
         stick=draw(pairs(0.0, 0.05)),
+        drag=draw(st.just(double([0.0, 0.0])) | pairs(0.0, 3.0)),
         delay=double([draw(st.floats(0.0, 0.15))]),
     )
 
@@ -90,7 +93,7 @@ def integrated(drive, commands, dt=5e-4):
         drive: the drive model.
         commands: goals and duration, [B, K, C + 1], durations and delay multiples of ``dt``.
     """
-    names = "lag", "slowing", "braking", "rate", "stick"
+    names = "lag", "slowing", "braking", "rate", "stick", "drag"
     laws = np.stack([getattr(drive, name).numpy() for name in names], 1)
     commands = np.asarray(commands)
     steps = round(commands[..., -1].sum(1).max() / dt)
@@ -101,7 +104,7 @@ def integrated(drive, commands, dt=5e-4):
 def _integrated(laws, delay, commands, dt, steps):
     out = np.zeros((steps + 1, len(laws)))
     for c in range(len(laws)):
-        lag, slowing, braking, rate, stick = laws[c]
+        lag, slowing, braking, rate, stick, drag = laws[c]
         speed = push = goal = held = 0.0
         acts, begins = 0, delay
         for n in range(steps):
@@ -123,7 +126,11 @@ def _integrated(laws, delay, commands, dt, steps):
             for half in (0.5, 1.0):
                 own = lag * slowing if abs(goal) < abs(at) - ALIKE else lag
                 own = lag * braking if goal == 0.0 else own
-                at = speed + half * step * min(max((goal - at) / own, -rate), rate)
+                faster = abs(goal) + abs(at)
+                if at * goal < 0.0:
+                    faster = faster / 2.0 if abs(at) > abs(goal) else abs(goal)
+                change = (goal - at) * (1.0 + drag * faster) / own
+                at = speed + half * step * min(max(change, -rate), rate)
             # When its speed crosses zero it is held.
             speed = 0.0 if speed * goal < 0.0 and at * goal > 0.0 and held > 0.0 else at
             if goal == 0.0 or abs(speed) >= MOVING:
@@ -247,6 +254,24 @@ def test_a_limited_rate_worked_by_hand():
     assert late.settling[0].tolist() == pytest.approx([0.3 + 2.5 * 0.2, 0.0])
 
 
+def test_quadratic_drag_worked_by_hand():
+    # With lag 2 s and drag 1.5, 2 ds/dt = F - s - 1.5 s |s|, F being 0.5 (1 + 1.5 * 0.5) at speed
+    # 0.5 and 2.5 at full speed. From rest (0.5 - s) / (s + 0.5 + 1 / 1.5) falls with 2.5 / 2 s.
+    drive = alike(lag=2.0, drag=1.5)
+    assert drive.shaped(double([0.35, 1.0])).tolist() == pytest.approx([0.5, 1.0])
+    before, target, ratio = double([[0.0, 1.0]]), double([[0.5, 0.0]]), 0.5 / (0.5 + 1 / 1.5)
+    left, missed, _, _ = drive.approach(before, target, double([0.8]))
+    later = ratio * math.exp(-1.0)
+    speed = (0.5 - later * (0.5 + 1 / 1.5)) / (1.0 + later)
+    assert left[0, 0].item() == pytest.approx(0.5 - speed)
+    lost = 2.0 / 1.5 * math.log((1.0 + 1.5 * (0.5 + speed)) / (1.0 + 1.5 * 0.5))
+    assert missed[0, 0].item() == pytest.approx(lost)
+    # It coasts: 1 / s + 1.5 grows with 1 / 2 s.
+    coasts = 1.0 / (2.5 * math.exp(0.4) - 1.5)
+    assert left[0, 1].item() == pytest.approx(-coasts)
+    assert missed[0, 1].item() == pytest.approx(-2.0 / 1.5 * math.log(2.5 / (1.0 + 1.5 * coasts)))
+
+
 def test_a_static_curve_worked_by_hand():
     drive = alike(curve=(-0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert drive.shaped(double([1.0, -0.5])).tolist() == pytest.approx([0.9, -0.475])
@@ -283,7 +308,8 @@ def late_model(seed, sticky):
     limits = {"lag": (0.03, 0.5), "slowing": (0.4, 2.0), "braking": (0.3, 2.0), "rate": (0.5, 20.0)}
     laws = {name: double(rng.uniform(*ends, 2)) for name, ends in limits.items()}
     stick = double(rng.uniform(0.0, 0.05, 2)) * sticky
-    return drive_model(seed, **laws, stick=stick, delay=double([1e-3 * rng.integers(0, 501)]))
+    delay, drag = double([1e-3 * rng.integers(0, 501)]), double(rng.uniform(0.0, 3.0, 2))
+    return drive_model(seed, **laws, stick=stick, delay=delay, drag=drag * rng.integers(2))
 
 
 @pytest.mark.parametrize("sticky", [False, True])
@@ -406,7 +432,7 @@ def compiled_approach(arrays, c, before, goal, push, time, law):
     """Return the remaining and the missed part of a difference, the settling time, and the push."""
     kernels._law(arrays, c, before, goal, push, law)
     left, missed = kernels._follow(law, time)
-    return left, missed, law[11], kernels._come(law, time, left)[1]
+    return left, missed, law[10], kernels._come(law, time, left)[1]
 
 
 @settings(max_examples=40, deadline=None)
@@ -466,7 +492,7 @@ def test_what_is_no_drive_model_is_refused():
         "stick": -0.1,
     }
     for wrong in ({name: value} for name, value in wrongs.items()):
-        with pytest.raises(ValueError, match="must be above 0, stick and delay not below"):
+        with pytest.raises(ValueError, match="must be above 0, stick, delay and drag not below"):
             alike(**wrong)
     assert can_drive(NAMES)
     assert not can_drive(NAMES, 3)

@@ -27,7 +27,7 @@ NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
 def several_laws(generator: torch.Generator) -> torch.Tensor:
     """Return four models' laws [4, L, 2]: two with a delay, one with grip, one with friction."""
-    laws = torch.zeros(4, 12, 2, dtype=torch.float64)
+    laws = torch.zeros(4, 13, 2, dtype=torch.float64)
     laws[:, 0] = torch.rand(4, 2, generator=generator, dtype=torch.float64) - 2.0
     laws[:, 1:3] = 0.5 * torch.randn(4, 2, 2, generator=generator, dtype=torch.float64)
     laws[:, 3] = torch.tensor([0.5, 1.5, 3.0, 0.0], dtype=torch.float64)[:, None]
@@ -61,8 +61,8 @@ def test_distances_are_those_of_the_drive_model(motion):
     motion = replace(motion, turning=turning, modes=modes)
     pieces, within = motion.distances(actuators)
     for p in range(len(laws)):
-        parts = (torch.from_numpy(part) for part in actuators.one(p)[3:])
-        drive = DriveModel(*parts, torch.zeros(features_of(2), 3), turning, None, modes)
+        *each, drag = (torch.from_numpy(part) for part in actuators.one(p)[3:])
+        drive = DriveModel(*each, torch.zeros(features_of(2), 3), turning, None, modes, drag)
         fit = Fit(drive, motion, bands[p], laws[p], True, actuators)
         x = motion.inputs(fit)
         under = rows_underway(drive, motion.columns, x)
@@ -142,7 +142,7 @@ def heavy(forward: float, turn: float, modes: bool = True) -> Motion:
     return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0)
 
 
-def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
+def test_a_body_slower_forward_than_in_a_turn_has_eachof_its_own():
     rows = heavy(2.5, 0.5)
     drive = fit_drive(rows).drive
     assert drive.modes.flatten().tolist() == pytest.approx([0.5, 0.5, -0.5, 0.5], abs=0.03)

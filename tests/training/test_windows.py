@@ -37,7 +37,7 @@ def drive_model(delay=0.15, lag=(0.1, 0.3)):
 
 
 def actuators_of(model: DriveModel) -> Actuators:
-    names = (*DriveModel.LAWS, "curve", "delay")
+    names = (*DriveModel.LAWS, "curve", "delay", "drag")
     laws = (getattr(model, name).numpy()[None] for name in names)
     return Actuators(np.arange(2), np.ones(2), np.zeros((1, 2)), *laws)
 

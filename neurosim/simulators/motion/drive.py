@@ -12,9 +12,13 @@ is 0. Static friction holds an actuator that starts or reverses until the integr
 overcome it. Within its dead band it stands; beyond it the goal is a static curve of the command,
 separate for forwards and backwards, which need not rise. Where the body is slower than its
 actuators, as that of a boat is, s and g are those of modes, linear combinations of the actuators'
-goals: of forward motion, and of the turn. The speeds, and their products by pairs, make a body
-twist, linearly: a differential drive, an omnidirectional base and a car at small steering angles
-are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
+goals: of forward motion, and of the turn. Its drag may grow with the speed, too (Fossen 2011,
+section 6.4): then g is the speed at which drag equals the commanded force, and the difference falls
+1 + drag (|s| + |g|) times as fast up to the rate. Where s and g differ in sign, that
+sum is :math:`(g^2 + s^2) / (|g| + |s|)`; it is replaced by |g|, and while |s| > |g| by the mean of
+both, within a sixth, so that all stays in closed form. The speeds, and their products by pairs,
+make a body twist, linearly: a differential drive, an omnidirectional base and a car at small
+steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
 
@@ -61,6 +65,10 @@ SHORTEST_COMMAND = 0.02
 
 #: Time after which a command that acts while another waits is cut into :data:`PHASES`, s.
 LONG_WAIT = 0.1
+
+
+#: Curvature of a fall below which it is straight.
+CURVED = 1e-12
 
 
 class Approach(NamedTuple):
@@ -117,6 +125,7 @@ class DriveModel:
             default.
         modes: goals of the laws by goals of the actuators, [C, C]; by default the laws are those of
             the actuators.
+        drag: quadratic drag, as a fraction of linear drag at full speed, [C]; zeros by default.
         slots: largest number of pending or acting commands when another one begins.
     """
 
@@ -131,12 +140,13 @@ class DriveModel:
     turning: Tensor = None  # type: ignore[assignment]
     losses: Tensor = None  # type: ignore[assignment]
     modes: Tensor = None  # type: ignore[assignment]
+    drag: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
 
     #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
     NAMES: ClassVar[tuple[str, ...]] = (
-        *(*LAWS, "curve", "delay", "kinematics", "turning", "losses", "modes"),
+        *(*LAWS, "curve", "delay", "kinematics", "turning", "losses", "modes", "drag"),
     )
 
     def __post_init__(self) -> None:
@@ -153,9 +163,9 @@ class DriveModel:
                 )
             object.__setattr__(self, name, value.detach().double())
         above = torch.cat([self.lag, self.slowing, self.braking, self.rate])
-        if (above <= 0).any() or (torch.cat([self.stick, self.delay]) < 0).any():
+        if (above <= 0).any() or (torch.cat([self.stick, self.delay, self.drag]) < 0).any():
             raise ValueError(
-                "lag, slowing, braking and rate must be above 0, stick and delay not below"
+                "lag, slowing, braking and rate must be above 0, stick, delay and drag not below"
             )
         slots = math.ceil(float(self.delay) / SHORTEST_COMMAND - 1e-6)
         object.__setattr__(self, "slots", max(slots, int(float(self.delay) > 0.0)))
@@ -166,7 +176,7 @@ class DriveModel:
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
         rest |= {"turning": (count,), "losses": (count, 3), "modes": (count, count)}
-        return {**each, **rest}
+        return {**each, **rest, "drag": (count,)}
 
     @property
     def twists(self) -> Tensor:
@@ -179,7 +189,9 @@ class DriveModel:
 
     def shaped(self, command: Tensor) -> Tensor:
         """Return the final speeds of commands [..., C], scaled to -1..1."""
-        return command * (1.0 + (curvature(command) * self.curve).sum(-1)) @ self.modes.T
+        force = command * (1.0 + (curvature(command) * self.curve).sum(-1)) @ self.modes.T
+        root = (1.0 + 4.0 * self.drag * (1.0 + self.drag) * force.abs()).sqrt()
+        return 2.0 * (1.0 + self.drag) * force / (1.0 + root)
 
     def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
         """Return the state at ``speed`` [B, C] with a single command acting.
@@ -202,7 +214,7 @@ class DriveModel:
         """
         push = torch.zeros_like(before) if push is None else push
         difference, speed = goal - before, goal.abs().clamp(min=STILL)
-        size, moves = difference.abs(), speed > STILL
+        size, moves, drag = difference.abs(), speed > STILL, self.drag
         above = speed < before.abs() - ALIKE
         slow = self.lag * torch.where(moves, self.slowing, self.braking)
         lag = torch.where(above | ~moves, slow, self.lag)
@@ -210,46 +222,81 @@ class DriveModel:
         turns = moves & (before * goal < 0.0)
         first = turns & above
         since = torch.where(first, 2.0 * speed, size)
-        linear = self.rate * slow
-        fast = ((size - linear).clamp(min=0.0) - (since - linear).clamp(min=0.0)) / self.rate
-        fast = torch.where(first, fast, 0.0)
-        faded = torch.minimum(size, linear) / torch.minimum(since, linear).clamp(min=STILL)
-        until = torch.where(first, fast + slow * faded.clamp(min=1.0).log(), 0.0)
+        until, fast = self._takes(size, since, slow, 1.0, drag / 2.0)
+        until, fast = (torch.where(first, one, 0.0) for one in (until, fast))
         lag = torch.where(first, self.lag, lag)
-        # Friction holds it when this difference remains: at speed 0, or at once.
-        then = torch.minimum(since, torch.where(goal * before > 0.0, since, speed))
+        # Then its speed becomes 0; friction holds it when this difference remains, or at once.
+        then, against = torch.where(turns, speed, since), 1.0 + drag * speed
+        zero = torch.where(turns, self._takes(since, then, lag, against)[0], 0.0)
         push = torch.where(turns & (before.abs() > STILL), 0.0, push)
         held = (1.0 - before * goal.sign() / MOVING).clamp(0.0, 1.0)
         starts = moves & (turns | (before.abs() < speed))
         stands = (held * self.stick - push).clamp(min=0.0) * starts / speed
-        linear = self.rate * lag
-        ramp = (since - linear).clamp(min=0.0) / self.rate  # duration of the limited rate
-        bow = torch.minimum(since, linear) / then.clamp(min=STILL)
-        zero = ramp + lag * bow.clamp(min=1.0).log()
-        zero = torch.where(then < linear, zero, (since - then) / self.rate)
+        along = torch.where(~turns & (before.abs() > speed), drag, -drag)
         t = time.unsqueeze(-1)
-        left, missed = self._fallen(size, slow, torch.minimum(t, until))
+        left, missed = self._fallen(size, slow, torch.minimum(t, until), 1.0, drag / 2.0)
         rest = (t - until).clamp(min=0.0)
+        sooner, more = self._fallen(since, lag, torch.minimum(rest, zero), against)
         stood = torch.minimum((rest - zero).clamp(min=0.0), stands)
-        later, more = self._fallen(since, lag, rest - stood)
-        left = torch.where(t < until, left, later)
-        missed = torch.where(first, missed, 0.0) + more + then * stood
-        settling = torch.where(size > ALIKE, fast + ramp + SETTLED * lag + stands, 0.0)
+        moving = ((rest - zero).clamp(min=0.0) - stood).clamp(min=0.0)
+        later, most = self._fallen(then, lag, moving, 1.0 + 2.0 * drag * speed, along)
+        left = torch.where(t < until, left, torch.where(rest < zero, sooner, later))
+        missed = missed + more + then * stood + most
+        ramp = (since - self._unlimited(lag, against, 0.0)).clamp(min=0.0) / self.rate
+        settling = fast + ramp + SETTLED * lag / against + stands
+        settling = torch.where(size > ALIKE, settling, 0.0)
         sign = difference.sign()
         runs = (goal - sign * left).abs() >= MOVING
         push = torch.where(moves & ~runs, push + stood * speed, 0.0)
         return Approach(sign * left, sign * missed, settling, push)
 
-    def _fallen(self, size: Tensor, lag: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the remaining differences after times [B, C], and their integral until then."""
-        linear = self.rate * lag
+    def _takes(
+        self,
+        size: Tensor,
+        less: Tensor,
+        lag: Tensor,
+        first: Tensor | float,
+        growth: Tensor | float = 0.0,
+    ) -> tuple[Tensor, Tensor]:
+        """Return the times in which differences fall to smaller ones, and those on the ramp."""
+        linear = self._unlimited(lag, first, growth)
+        ramp = ((size - linear).clamp(min=0.0) - (less - linear).clamp(min=0.0)) / self.rate
+        size, less = torch.minimum(size, linear), torch.minimum(less, linear).clamp(min=STILL)
+        ratio = size * (first + growth * less) / (less * (first + growth * size))
+        return ramp + lag / first * ratio.clamp(min=1.0).log(), ramp
+
+    def _unlimited(self, lag: Tensor, first: Tensor | float, growth: Tensor | float) -> Tensor:
+        """Return the differences from which the rate no longer limits their fall."""
+        limit = self.rate * lag
+        square = first * first + 4.0 * growth * limit
+        linear = 2.0 * limit / (first + torch.as_tensor(square).clamp(min=0.0).sqrt())
+        return torch.where(torch.as_tensor(square) < 0.0, torch.inf, linear)
+
+    def _fallen(
+        self,
+        size: Tensor,
+        lag: Tensor,
+        time: Tensor,
+        first: Tensor | float,
+        growth: Tensor | float = 0.0,
+    ) -> tuple[Tensor, Tensor]:
+        """Return the remaining differences after times [B, C], and their integral until then.
+
+        A difference e falls as de/dt = -e (first + growth e) / lag, but not faster than the rate.
+        """
+        linear = self._unlimited(lag, first, growth)
         ramp = (size - linear).clamp(min=0.0) / self.rate
         on_ramp, fading = torch.minimum(time, ramp), torch.minimum(size, linear)
-        decay = torch.exp(-(time - on_ramp) / lag)
-        after = time > ramp
-        left = torch.where(after, fading * decay, size - self.rate * on_ramp)
+        decay = torch.exp(-(time - on_ramp) * first / lag)
+        share = fading / (first + growth * fading) * decay
+        left = first * share / (1.0 - growth * share)
+        fell = (fading - left) / (first + growth * left)
+        curved = growth * fell
+        known = curved.abs() > CURVED
+        fell = fell * torch.where(known, curved.log1p() / torch.where(known, curved, 1.0), 1.0)
         missed = on_ramp * (size - 0.5 * self.rate * on_ramp)
-        return left, missed + torch.where(after, fading * lag * (1.0 - decay), 0.0)
+        left = torch.where(time > ramp, left, size - self.rate * on_ramp)
+        return left, missed + torch.where(time > ramp, lag * fell, 0.0)
 
     def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return speeds and push [B, C] after a command of ``time`` s with goals [B, C]."""

@@ -21,6 +21,7 @@ from neurosim.simulators import engine
 from neurosim.simulators.motion.derived import SAME
 from neurosim.simulators.motion.drive import (
     ALIKE,
+    CURVED,
     LONG_WAIT,
     MOVING,
     PHASES,
@@ -36,7 +37,7 @@ from neurosim.simulators.motion.sensors import read
 #: Number of values of the noise's size, see :func:`spread`.
 SIZES = 10
 #: Number of values of an actuator's law, see :func:`_law`.
-_LAW = 15
+_LAW = 16
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -79,7 +80,7 @@ class MotionModel(NamedTuple):
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
-    drives: bool  #: whether there is a drive model; if not, the next fourteen hold anything
+    drives: bool  #: whether there is a drive model; if not, the next fifteen hold anything
     slots: int  #: as in DriveModel
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray
@@ -92,6 +93,7 @@ class MotionModel(NamedTuple):
     turning: np.ndarray  #: [C]
     losses: np.ndarray  #: [C, 3]
     modes: np.ndarray  #: [C, C]
+    drag: np.ndarray  #: [C]
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -223,6 +225,9 @@ def goal_of(a, modes, commanded, c):
     for d in range(len(modes)):
         if modes[c, d] != 0.0:
             goal += modes[c, d] * _shaped(a, commanded[d], d)
+    drag = a.drag[c]
+    if drag > 0.0:
+        goal *= 2.0 * (1.0 + drag) / (1.0 + math.sqrt(1.0 + 4.0 * drag * (1.0 + drag) * abs(goal)))
     return goal
 
 
@@ -247,89 +252,124 @@ def _law(a, c, before, goal, push, law):
         push: as in Underway.
         law: [_LAW], written: size and sign of the difference; the time (s) until which the speed in
             the other direction is above its goal, and the lag until then; the difference at that
-            time, the lag from then on, the rate, the duration of its limit; the time and duration
-            of static friction and the difference then; the settling time; the goal, its magnitude,
-            and the push.
+            time, the lag from then on, the rate; the time from then on until the speed is 0, how
+            long static friction holds it there, and the difference there; the settling time; the
+            goal, its magnitude, and the push; the drag, and with which sign it changes the rate.
     """
     difference, speed = goal - before, max(abs(goal), STILL)
-    size, rate = abs(difference), a.rate[c]
+    size, rate, drag = abs(difference), a.rate[c], a.drag[c]
     lag = slow = a.lag[c]
-    since, fast, until, stands, zero, then = size, 0.0, 0.0, 0.0, 0.0, 0.0
+    since, fast, until, stands, zero, along = size, 0.0, 0.0, 0.0, 0.0, -drag
+    turns = False
     if speed <= STILL:
         lag *= a.braking[c]
-        push = 0.0
+        push, along = 0.0, drag
     else:
         turns = before * goal < 0.0
         if speed < abs(before) - ALIKE:
             slow *= a.slowing[c]
             if turns:
-                linear, since = rate * slow, 2.0 * speed
-                fast = (max(size - linear, 0.0) - max(since - linear, 0.0)) / rate
-                faded = min(size, linear) / max(min(since, linear), STILL)
-                until = fast + slow * math.log(max(faded, 1.0))
+                since = 2.0 * speed
+                fast, faded = _takes(size, since, slow, rate, 1.0, 0.5 * drag)
+                until = fast + faded
             else:
                 lag = slow
         if turns and abs(before) > STILL:
             push = 0.0
+        if not turns and abs(before) > speed:
+            along = drag
         held = min(1.0 - before * math.copysign(1.0, goal) / MOVING, 1.0)
         if turns or abs(before) < speed:
             stands = max(max(held, 0.0) * a.stick[c] - push, 0.0) / speed
-    linear = rate * lag
-    ramp = max(since - linear, 0.0) / rate
-    if stands > 0.0:
-        then = since if goal * before > 0.0 else min(since, speed)
-        zero = (since - then) / rate
-        if then < linear:
-            zero = ramp + lag * math.log(max(min(since, linear) / max(then, STILL), 1.0))
+    against, then = 1.0 + drag * speed, since
+    if turns:
+        then = speed
+        ramp, faded = _takes(since, then, lag, rate, against, 0.0)
+        zero = ramp + faded
     law[0], law[1], law[2], law[3] = size, math.copysign(1.0, difference), until, slow
-    law[4], law[5], law[6], law[7] = since, lag, rate, ramp
-    law[8], law[9], law[10] = zero, stands, then
-    law[11] = fast + ramp + SETTLED * lag + stands if size > ALIKE else 0.0
-    law[12], law[13], law[14] = goal, speed, push
+    law[4], law[5], law[6], law[7] = since, lag, rate, zero
+    law[8], law[9] = stands, then
+    ramp = max(since - _unlimited(lag, rate, against, 0.0), 0.0) / rate
+    settling = fast + ramp + SETTLED * lag / against + stands
+    law[10] = settling if size > ALIKE else 0.0
+    law[11], law[12], law[13], law[14], law[15] = goal, speed, push, drag, along
+
+
+@kernel(forceinline=True)
+def _unlimited(lag, rate, first, growth):
+    """Return the difference from which the rate no longer limits its fall."""
+    limit = rate * lag
+    if growth == 0.0:
+        return limit / first
+    square = first * first + 4.0 * growth * limit
+    return 2.0 * limit / (first + math.sqrt(square)) if square >= 0.0 else math.inf
+
+
+@kernel(forceinline=True)
+def _takes(size, less, lag, rate, first, growth):
+    """Return how long a difference falls to a smaller one: on the ramp, and then."""
+    linear = _unlimited(lag, rate, first, growth)
+    ramp = (max(size - linear, 0.0) - max(less - linear, 0.0)) / rate
+    size, less = min(size, linear), max(min(less, linear), STILL)
+    ratio = size * (first + growth * less) / (less * (first + growth * size))
+    return ramp, lag / first * math.log(max(ratio, 1.0))
 
 
 @kernel(forceinline=True)
 def _follow(law, time):
     """Return the remaining difference after a time (s), and its integral until then."""
-    if law[0] == 0.0 and law[9] == 0.0:
+    if law[0] == 0.0 and law[8] == 0.0:
         return 0.0, 0.0
-    sign, until = law[1], law[2]
+    sign, until, drag = law[1], law[2], law[14]
     if time < until:
-        linear = law[6] * law[3]
-        ramp = max(law[0] - linear, 0.0) / law[6]
-        left, missed = _fallen(law[0], law[3], law[6], ramp, time)
+        left, missed = _fallen(law[0], law[3], law[6], time, 1.0, 0.5 * drag)
         return sign * left, sign * missed
-    more = 0.0
+    more, rest = 0.0, time - until
     if until > 0.0:
-        linear = law[6] * law[3]
-        more = _fallen(law[0], law[3], law[6], max(law[0] - linear, 0.0) / law[6], until)[1]
-    rest = time - until
-    stood = min(max(rest - law[8], 0.0), law[9])
-    left, missed = _fallen(law[4], law[5], law[6], law[7], rest - stood)
-    return sign * left, sign * (more + missed + law[10] * stood)
+        more = _fallen(law[0], law[3], law[6], until, 1.0, 0.5 * drag)[1]
+    if law[7] > 0.0:
+        left, missed = _fallen(law[4], law[5], law[6], min(rest, law[7]), 1.0 + drag * law[12], 0.0)
+        if rest < law[7]:
+            return sign * left, sign * (more + missed)
+        more += missed
+        rest -= law[7]
+    stood = min(rest, law[8])
+    first = 1.0 + 2.0 * drag * law[12]
+    left, missed = _fallen(law[9], law[5], law[6], rest - stood, first, law[15])
+    return sign * left, sign * (more + missed + law[9] * stood)
 
 
 @kernel(forceinline=True)
-def _fallen(size, lag, rate, ramp, time):
-    """Return the remainder of a difference after a time (s), and its integral until then."""
+def _fallen(size, lag, rate, time, first, growth):
+    """Return the remainder of a difference after a time (s), and its integral until then.
+
+    See :meth:`DriveModel._fallen`.
+    """
+    linear = _unlimited(lag, rate, first, growth)
+    ramp = max(size - linear, 0.0) / rate
     on_ramp = min(time, ramp)
     left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
     if time > ramp:
-        fading, decay = min(size, rate * lag), math.exp(-(time - on_ramp) / lag)
-        left = fading * decay
-        missed += fading * lag * (1.0 - decay)
+        fading, decay = min(size, linear), math.exp(-(time - on_ramp) * first / lag)
+        share = fading / (first + growth * fading) * decay
+        left = first * share / (1.0 - growth * share)
+        fell = (fading - left) / (first + growth * left)
+        curved = growth * fell
+        if abs(curved) > CURVED:
+            fell *= math.log1p(curved) / curved
+        missed += lag * fell
     return left, missed
 
 
 @kernel(forceinline=True)
 def _come(law, time, left):
     """Return speed and push after a time (s), from the remaining difference."""
-    speed, push = law[12] - left, law[14]
+    speed, push = law[11] - left, law[13]
     if abs(speed) < STILL:
         speed = 0.0
-    if abs(speed) >= MOVING or law[13] <= STILL:
+    if abs(speed) >= MOVING or law[12] <= STILL:
         return speed, 0.0
-    return speed, push + min(max(time - law[2] - law[8], 0.0), law[9]) * law[13]
+    return speed, push + min(max(time - law[2] - law[7], 0.0), law[8]) * law[12]
 
 
 @kernel(forceinline=True)
@@ -461,7 +501,7 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         for c in range(count):
             goal = x[a.driven[c]] if own else began[2 * count + slots + n * count + c]
             _law(a, c, memory[c], goal, memory[count + c], law[c])
-            settling = max(settling, law[c, 11])
+            settling = max(settling, law[c, 10])
             distance[0, c] = 0.0
         changing = min(span, settling) if own else span
         pieces = PHASES if own or span > LONG_WAIT else 1
@@ -492,7 +532,7 @@ def _twist(a, law, begin, end, distance):
     inverse = 1.0 / max(span, 1e-9)
     for c in range(count):
         left, missed = _follow(law[c], end)
-        until = law[c, 12] * end - missed
+        until = law[c, 11] * end - missed
         distance[1, c], distance[0, c], distance[2, c] = until - distance[0, c], until, left
     vx, vy, turn, turned = 0.0, 0.0, 0.0, 0.0
     place = count

@@ -41,6 +41,7 @@ from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_
 from neurosim.simulators.motion.network import chain
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
+from neurosim.training.error_size import relative_size
 
 #: Number of rows for the search of the laws.
 _ROWS = 600
@@ -52,7 +53,7 @@ _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 _STARTS = 2
 #: Largest number of its steps, and gain in log-likelihood at which it ends.
 _STEPS, _GAIN = 40, 0.05
-#: Largest number of steps with other weights or dead bands, from a near start.
+#: Largest number of steps with other dead bands, from a near start.
 _AGAIN = 3
 #: Widest dead band, as a fraction of the largest command, and number of sizes tried at once.
 _WIDEST, _TRIED = 0.5, 24
@@ -73,11 +74,11 @@ _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: Damping of steps: first, smallest and largest value, and the factors of its change.
 _DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
 #: The searched parameters: logarithms of the sum of lag and delay (which alone determines the
-#: distance), of slowing, of braking over slowing, and of the rate; stick (s), the static curve, and
-#: the delay (s). Usual values, their spread, and limits.
-_TOTAL, _SLOWING, _BRAKING, _RATE, _STICK, _CURVE, _DELAY = *range(6), 5 + CURVES
-_USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, *[0.0] * CURVES, 0.0)
-_WIDTH = (1.0, 0.5, 0.5, 1.5, 0.02, *[0.15] * 3, *[0.1] * 3, 0.08)
+#: distance), of slowing, of braking over slowing, and of the rate; stick (s), the static curve, the
+#: delay (s), and the quadratic drag. Usual values, their spread, and limits.
+_TOTAL, _SLOWING, _BRAKING, _RATE, _STICK, _CURVE, _DELAY, _DRAG = *range(6), 5 + CURVES, 6 + CURVES
+_USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, *[0.0] * CURVES, 0.0, 0.0)
+_WIDTH = (1.0, 0.5, 0.5, 1.5, 0.02, *[0.15] * 3, *[0.1] * 3, 0.08, 1.0)
 _SHORTEST = 0.003
 _LOWEST = (
     math.log(_SHORTEST),
@@ -87,8 +88,15 @@ _LOWEST = (
     0.0,
     *[-5.0] * CURVES,
     0.0,
+    0.0,
 )
-_HIGHEST = (math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
+_FASTEST = math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0)
+_HIGHEST = (*_FASTEST, 0.2, *[5.0] * CURVES, 0.5, 10.0)
+#: First quadratic drag of a search, and the shortest lag (s) of a law that may have it.
+_FIRST_DRAG, _SLUGGISH = 0.5, 0.3
+#: Smallest number of rows for quadratic drag, for learning how the size of errors depends on the
+#: commands, and for members' laws that are searched to the end.
+_SIZED = 100
 #: Prior part of products in the target, as a fraction.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and error from which Huber's loss is linear.
@@ -110,24 +118,29 @@ class Actuators(NamedTuple):
     driven: NDArray  #: [C] their numbers
     input_scale: NDArray  #: [C] ones, as commands are scaled
     dead_band: NDArray  #: dead bands
-    lag: NDArray  #: this and the next six as in DriveModel
+    lag: NDArray  #: this and the next seven as in DriveModel
     slowing: NDArray
     braking: NDArray
     rate: NDArray
     stick: NDArray
     curve: NDArray
     delay: NDArray
+    drag: NDArray
 
     @classmethod
     def of(cls, laws: Tensor, band: Tensor) -> Actuators:
         """Return the actuators for laws [P, L, C] with dead bands [C] or [P, C]."""
         total, slowing, braking, rate = laws[:, : _RATE + 1].exp().unbind(1)
-        delay, stick = laws[:, _DELAY, :1], laws[:, _STICK]
+        delay, stick, drag = laws[:, _DELAY, :1], laws[:, _STICK], laws[:, _DRAG]
         lag = (total - delay).clamp(min=_SHORTEST)
         curve = laws[:, _CURVE:_DELAY].mT
-        parts = (band.expand_as(lag), lag, slowing, slowing * braking, rate, stick, curve, delay)
+        parts = band.expand_as(lag), lag, slowing, slowing * braking, rate, stick, curve, delay
         count = lag.shape[1]
-        return cls(np.arange(count), np.ones(count), *(part.contiguous().numpy() for part in parts))
+        return cls(
+            np.arange(count),
+            np.ones(count),
+            *(part.contiguous().numpy() for part in (*parts, drag)),
+        )
 
     def turning(self, given: Tensor | None) -> NDArray:
         """Return the actuators' combination for the rate of turn, [C]; zeros by default."""
@@ -200,7 +213,7 @@ def _cut(a, turning, begins, goals, time, law, distance, reached, features):
         begin, settling = ends, SHORTEST
         for c in range(count):
             _law(a, c, reached[c], goals[own, c], reached[count + c], law[c])
-            settling = max(settling, law[c, 11])
+            settling = max(settling, law[c, 10])
             distance[c] = 0.0
         changing = min(span, settling) if own else span
         pieces = PHASES if own or span > LONG_WAIT else 1
@@ -254,6 +267,8 @@ class Motion:
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
+        precision: reciprocal of the relative size of the errors of turns and of translations, [2,
+            N]; None: all are alike.
     """
 
     x: Tensor
@@ -266,6 +281,7 @@ class Motion:
     turning: Tensor | None = None
     modes: Tensor | None = None
     steered: bool = False
+    precision: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -278,8 +294,9 @@ class Motion:
             known = known[:: -(-len(known) // rows) or 1]
             within = Within(*(part[known] for part in within)) if len(known) else None
         weight = None if self.weight is None else self.weight[:rows]
-        x, y, follows = self.x[:rows], self.y[:rows], self.follows[:rows]
-        return replace(self, x=x, y=y, follows=follows, within=within, weight=weight)
+        cut = {name: getattr(self, name)[:rows] for name in ("x", "y", "follows")}
+        precision = None if self.precision is None else self.precision[:, :rows]
+        return replace(self, **cut, within=within, weight=weight, precision=precision)
 
     def weighted(self, weight: Tensor) -> Motion:
         """Return the rows with other weights [N]."""
@@ -412,10 +429,10 @@ class Fit(NamedTuple):
     def of(cls, rows: Rows, band: Tensor, laws: Tensor, searched: bool) -> Fit:
         """Return the fit of rows with given laws and dead bands."""
         actuators = Actuators.of(laws.unsqueeze(0), band)
-        parts = (torch.from_numpy(part) for part in actuators.one(0)[3:])
+        *parts, drag = (torch.from_numpy(part) for part in actuators.one(0)[3:])
         kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
         losses = None if rows.turning is None else twists[kinematics:]
-        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses, rows.modes)
+        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses, rows.modes, drag)
         return cls(drive, rows, band, laws, searched, actuators)
 
 
@@ -433,6 +450,8 @@ def fit_drive(
 ) -> Fit:
     """Return the drive model of rows.
 
+    A command of full speed leaves larger errors than a slow one, and counts less.
+
     Args:
         rows: the rows.
         laws: whether to search the actuators' laws; if not, speeds are reached at once.
@@ -440,6 +459,19 @@ def fit_drive(
         body: whether the laws may be those of the body's modes, if these fit the rows better.
         car: whether the prior may be that of a car, if it fits the rows better.
     """
+    fit = _fit_evenly(rows, laws, band, body, car)
+    if not (laws and isinstance(fit.rows, Motion) and len(fit.rows.x) >= _SIZED):
+        return fit
+    turns, shifts = (one.error[0] for one in fit.rows.fitted(fit.actuators)[1][:2])
+    left = torch.stack([turns, shifts.unflatten(0, (2, -1)).norm(dim=0)])
+    sized = replace(fit.rows, precision=(-relative_size(fit.rows.x, left)).exp())
+    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
+    best = _again(sized.first(_ROWS), fit.band, fit.laws, *limits, _STEPS)
+    return Fit.of(sized, fit.band, best, True)
+
+
+def _fit_evenly(rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bool) -> Fit:
+    """Return the drive model of rows whose errors all have one size; see :func:`fit_drive`."""
     count = len(rows.columns.driven)
     searched = rows.first(_ROWS)
     if not laws:
@@ -587,7 +619,7 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
 
     def best_of(starts: list[Tensor], longest_delay: float) -> tuple[Tensor, float]:
         limit = highest.clone()
-        limit[_DELAY] = longest_delay
+        limit[_DELAY], limit[_DRAG] = longest_delay, 0.0
         refined = [_refined(rows, band, start, lowest, limit) for start in starts]
         return min(refined, key=lambda one: one[1])
 
@@ -605,7 +637,16 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
     if best[_DELAY, 0] > 0.0:
         at_once, cost = best_of([*starts(0.0)[:1], best], 0.0)
         if cost < least + rows.belief:
-            best = at_once
+            best, least = at_once, cost
+    slow = best[_TOTAL].exp() > _SLUGGISH
+    if slow.any() and len(rows.commanded) >= _SIZED:
+        limit, start = highest.clone(), best.clone()
+        limit[_DRAG, ~slow], limit[_DELAY] = 0.0, _HIGHEST[_DELAY] * (best[_DELAY, 0] > 0.0)
+        start[_DRAG, slow] = _FIRST_DRAG
+        start[_TOTAL, slow] += math.log1p(_FIRST_DRAG)
+        dragged, cost = _refined(rows, band, start, lowest, limit)
+        if cost < least - rows.belief:
+            best = dragged
     return best
 
 
@@ -621,17 +662,28 @@ def fit_again(fit: Fit, weights: Tensor) -> list[Fit]:
     for rows in map(fit.rows.weighted, weights):
         laws = fit.laws
         if fit.searched:
-            laws = _again(rows.first(_ROWS), fit.band, laws, *limits)
+            # Of a log, windows tell the size of members' differences; a few rows of each have too
+            # many solutions.
+            steps = _STEPS if isinstance(rows, Motion) and len(rows.x) >= _SIZED else _AGAIN
+            laws = _again(rows.first(_ROWS), fit.band, laws, *limits, steps)
         fits.append(Fit.of(rows, fit.band, laws, fit.searched))
     return fits
 
 
-def _again(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+def _again(
+    rows: Rows,
+    band: Tensor,
+    laws: Tensor,
+    lowest: Tensor,
+    highest: Tensor,
+    steps: int = _AGAIN,
+) -> Tensor:
     """Return the laws [L, C] of slightly changed rows, from the laws of the original ones."""
+    highest = highest.clone()
+    highest[_DRAG, laws[_DRAG] == 0.0] = 0.0
     if laws[_DELAY, 0] == 0.0:
-        highest = highest.clone()
         highest[_DELAY] = 0.0
-    return _refined(rows, band, laws, lowest, highest, _AGAIN)[0]
+    return _refined(rows, band, laws, lowest, highest, steps)[0]
 
 
 def outside(command: Tensor, band: Tensor) -> Tensor:
@@ -733,7 +785,9 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     of_turn, of_shift = terms_near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = regressions(pieces.sum(1), turn, of_turn, weight)
+    precision = torch.ones_like(y[:, :2]).T if motion.precision is None else motion.precision
+    of_pieces = pieces.sum(1) * precision[0]
+    rate, turns_left = regressions(of_pieces, turn * precision[0], of_turn, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -741,9 +795,10 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     ahead = torch.einsum("pkn,pkfn->pfn", chord * heading.cos(), pieces)
     aside = torch.einsum("pkn,pkfn->pfn", chord * heading.sin(), pieces)
     moved = se2.mid_turn(y)
+    ahead, aside = ahead * precision[1], aside * precision[1]
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
-    twice = torch.cat([weight, weight])
-    speeds, shifts_left = regressions(both, moved[:, :2].T.flatten(), of_shift.repeat(2), twice)
+    target = (moved[:, :2].T * precision[1]).flatten()
+    speeds, shifts_left = regressions(both, target, of_shift.repeat(2), weight.repeat(2))
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
