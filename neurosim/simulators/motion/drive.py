@@ -142,6 +142,7 @@ class DriveModel:
     modes: Tensor = None  # type: ignore[assignment]
     drag: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
+    _drags: bool = field(init=False, default=False)
 
     #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
@@ -167,6 +168,7 @@ class DriveModel:
             raise ValueError(
                 "lag, slowing, braking and rate must be above 0, stick, delay and drag not below"
             )
+        object.__setattr__(self, "_drags", bool((self.drag > 0.0).any()))
         slots = math.ceil(float(self.delay) / SHORTEST_COMMAND - 1e-6)
         object.__setattr__(self, "slots", max(slots, int(float(self.delay) > 0.0)))
 
@@ -214,7 +216,9 @@ class DriveModel:
         """
         push = torch.zeros_like(before) if push is None else push
         difference, speed = goal - before, goal.abs().clamp(min=STILL)
-        size, moves, drag = difference.abs(), speed > STILL, self.drag
+        size, moves = difference.abs(), speed > STILL
+        # Without drag there is less to compute, and to export.
+        drag = self.drag if self._drags else 0.0
         above = speed < before.abs() - ALIKE
         slow = self.lag * torch.where(moves, self.slowing, self.braking)
         lag = torch.where(above | ~moves, slow, self.lag)
@@ -232,7 +236,7 @@ class DriveModel:
         held = (1.0 - before * goal.sign() / MOVING).clamp(0.0, 1.0)
         starts = moves & (turns | (before.abs() < speed))
         stands = (held * self.stick - push).clamp(min=0.0) * starts / speed
-        along = torch.where(~turns & (before.abs() > speed), drag, -drag)
+        along = torch.where(~turns & (before.abs() > speed), drag, -drag) if self._drags else 0.0
         t = time.unsqueeze(-1)
         left, missed = self._fallen(size, slow, torch.minimum(t, until), 1.0, drag / 2.0)
         rest = (t - until).clamp(min=0.0)
@@ -268,6 +272,8 @@ class DriveModel:
     def _unlimited(self, lag: Tensor, first: Tensor | float, growth: Tensor | float) -> Tensor:
         """Return the differences from which the rate no longer limits their fall."""
         limit = self.rate * lag
+        if not self._drags:
+            return limit
         square = first * first + 4.0 * growth * limit
         linear = 2.0 * limit / (first + torch.as_tensor(square).clamp(min=0.0).sqrt())
         return torch.where(torch.as_tensor(square) < 0.0, torch.inf, linear)
@@ -288,15 +294,18 @@ class DriveModel:
         ramp = (size - linear).clamp(min=0.0) / self.rate
         on_ramp, fading = torch.minimum(time, ramp), torch.minimum(size, linear)
         decay = torch.exp(-(time - on_ramp) * first / lag)
+        ramped, after = on_ramp * (size - 0.5 * self.rate * on_ramp), time > ramp
+        if not self._drags:
+            left = torch.where(after, fading * decay, size - self.rate * on_ramp)
+            return left, ramped + torch.where(after, fading * lag * (1.0 - decay), 0.0)
         share = fading / (first + growth * fading) * decay
         left = first * share / (1.0 - growth * share)
         fell = (fading - left) / (first + growth * left)
         curved = growth * fell
         known = curved.abs() > CURVED
         fell = fell * torch.where(known, curved.log1p() / torch.where(known, curved, 1.0), 1.0)
-        missed = on_ramp * (size - 0.5 * self.rate * on_ramp)
-        left = torch.where(time > ramp, left, size - self.rate * on_ramp)
-        return left, missed + torch.where(time > ramp, lag * fell, 0.0)
+        left = torch.where(after, left, size - self.rate * on_ramp)
+        return left, ramped + torch.where(after, lag * fell, 0.0)
 
     def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return speeds and push [B, C] after a command of ``time`` s with goals [B, C]."""
