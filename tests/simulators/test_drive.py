@@ -490,6 +490,7 @@ def test_what_is_no_drive_model_is_refused():
         "braking": 0.0,
         "delay": -0.1,
         "stick": -0.1,
+        "drag": -0.1,
     }
     for wrong in ({name: value} for name, value in wrongs.items()):
         with pytest.raises(ValueError, match="must be above 0, stick, delay and drag not below"):

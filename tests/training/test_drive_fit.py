@@ -142,7 +142,7 @@ def heavy(forward: float, turn: float, modes: bool = True) -> Motion:
     return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0)
 
 
-def test_a_body_slower_forward_than_in_a_turn_has_eachof_its_own():
+def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
     rows = heavy(2.5, 0.5)
     drive = fit_drive(rows).drive
     assert drive.modes.flatten().tolist() == pytest.approx([0.5, 0.5, -0.5, 0.5], abs=0.03)
