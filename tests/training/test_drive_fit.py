@@ -110,10 +110,10 @@ def test_a_robot_that_loses_nothing_in_curves_has_no_losses():
     assert not fit_drive(in_curves(0.0, 0.0)).drive.losses.any()
 
 
-def heavy(forward: float, turn: float, modes: bool = True) -> Motion:
+def heavy(forward: float, turn: float, modes: bool = True, drag: float = 0.0) -> Motion:
     """Return rows, one straight into the next, of a robot with two lags (s).
 
-    They are of forward motion and the turn, or of the two wheels.
+    They are of forward motion and the turn, or of the two wheels; ``drag`` is of the first.
     """
     rng = np.random.default_rng(3)
     double = torch.float64
@@ -128,7 +128,7 @@ def heavy(forward: float, turn: float, modes: bool = True) -> Motion:
     true = DriveModel(
         torch.tensor([forward, turn], dtype=double), *laws,
         torch.zeros(2, 6, dtype=double), torch.zeros(1, dtype=double), kinematics,
-        modes=body if modes else None,
+        modes=body if modes else None, drag=torch.tensor([drag, 0.0], dtype=double),
     )  # fmt: skip
     before = torch.cat([torch.zeros(1, 2, dtype=double), commanded[:-1]])
     x = torch.cat([before, commanded, time[:, None] / 2.0], 1)
@@ -151,6 +151,13 @@ def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
     alone = fit_drive(rows, body=False).drive
     assert torch.equal(alone.modes, torch.eye(2, dtype=torch.float64))
     assert alone.lag.tolist() == pytest.approx([0.5, 0.5], abs=0.1)
+
+
+def test_quadratic_drag_is_found_where_there_is_one():
+    drive = fit_drive(heavy(2.5, 0.5, drag=1.5)).drive
+    assert drive.drag[0].item() == pytest.approx(1.5, rel=0.3)
+    assert drive.lag[0].item() == pytest.approx(2.5, rel=0.15)
+    assert fit_drive(heavy(2.5, 0.5)).drive.drag.tolist() == [0.0, 0.0]
 
 
 def test_wheels_with_lags_of_their_own_have_no_modes():
