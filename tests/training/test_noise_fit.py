@@ -16,7 +16,7 @@ from neurosim.simulators.motion.noise import (
     heaviness,
     in_motion,
 )
-from neurosim.training.noise import _log_likelihood, fit_noise, fit_spread
+from neurosim.training.noise import USUAL_SPREAD, _log_likelihood, fit_noise, fit_spread
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -141,9 +141,9 @@ def test_short_and_long_windows_are_within_the_spread(of_noise, of_members):
     for some in (rows <= 2.0, rows >= 16.0):
         for of_output in held[some[:, 0]].mean(0).tolist():
             assert of_output == pytest.approx(0.8, abs=0.06)
-    # Few windows change little.
+    # Few windows change the usual factors little.
     first, second = fit_spread(
         error[:4], noise[:, :4], members[:, :4], torch.full((4,), 0.01).double()
     )
     assert first.tolist() == pytest.approx([1.0] * 3, abs=0.05)
-    assert second.tolist() == pytest.approx([1.0] * 3, abs=0.05)
+    assert second.tolist() == pytest.approx([USUAL_SPREAD] * 3, abs=0.05)
