@@ -52,6 +52,23 @@ def motion() -> Motion:
     return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0, Within(row, time, moved))
 
 
+def test_stretches_of_rows_keep_their_poses(motion):
+    x, follows = motion.x.repeat(20, 1), motion.follows.repeat(20)
+    row = torch.arange(800).repeat_interleave(2)
+    y = torch.arange(2400.0, dtype=torch.float64).view(800, 3)  # tells which row it is
+    within = Within(row, motion.within.time.repeat(20), y[row] / 2.0)
+    log = replace(motion, x=x, y=y, follows=follows, within=within)
+    some = log.some(250)
+    kept = [*range(125), *range(400, 525)]
+    assert torch.equal(some.y, y[kept])
+    expected = follows.clone()
+    expected[[0, 400]] = False
+    assert torch.equal(some.follows, expected[kept])
+    assert len(some.within.row) == 250
+    assert torch.equal(some.within.moved, some.y[some.within.row] / 2.0)
+    assert torch.equal(log.some(800).y, y)
+
+
 def test_distances_are_those_of_the_drive_model(motion):
     laws = several_laws(torch.Generator().manual_seed(1))
     bands = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.0, 0.3], [0.05, 0.0]], dtype=torch.float64)

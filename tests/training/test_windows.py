@@ -9,6 +9,7 @@ import torch
 from neurosim.base import se2
 from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.training.base import Within
 from neurosim.training.evaluate import compare, predict
 from neurosim.training.train import learn, training_data
 from neurosim.training.trainers.drive_fit import Actuators, Fit
@@ -106,6 +107,37 @@ def test_windows_by_hand():
     assert all(not first < 8 < end for first, end, _ in result)
     # Windows of a length that do not overlap have the weight of their duration over the longest.
     assert windows.weight[:12].tolist() == pytest.approx([0.25 / 2.0 / len(LENGTHS)] * 12)
+
+
+def test_stretches_of_a_log_keep_their_windows():
+    rng, rows = np.random.default_rng(0), 900
+    time = torch.tensor(rng.uniform(0.4, 0.6, rows))
+    x = torch.cat([torch.tensor(rng.uniform(-1, 1, (rows, 4))), time[:, None] / 3.0], 1)
+    y = torch.ones(rows, 3, dtype=torch.float64)
+    joined = torch.ones(rows, dtype=torch.bool)
+    joined[[0, 330]] = False
+    # Every second row is cut at a pose within it.
+    odd = torch.arange(1, rows, 2)
+    within = Within(odd, 0.3 * time[odd], 0.3 * y[odd])
+    log = Chains.of(x, y, joined, CommandFeatures.of(NAMES), 3.0, within)
+    log = log.weighted(torch.arange(rows, dtype=torch.float64))
+    # 80 rows that count as much as 400 short ones, which are 266 rows: two stretches.
+    some = log.some(80)
+    kept = [*range(133), *range(450, 583)]
+    assert some.weight.tolist() == [float(row) for row in kept]
+    assert torch.nonzero(~some.joined).flatten().tolist() == [0, 199]
+    row_of = {duration: row for row, duration in enumerate(log.time.tolist())}
+    rows_of = [row_of[duration] for duration in some.time.tolist()]
+    assert rows_of == [*range(199), *range(675, 874)]
+    assert [rows_of[place] for place in some.whole] == [int(log.whole[row]) for row in kept]
+    known = {
+        (first, end)
+        for first, end in zip(log.windows.first.tolist(), log.windows.end.tolist(), strict=True)
+        if end <= 199 or (first >= 675 and end <= 874)
+    }
+    ends = zip(some.windows.first.tolist(), some.windows.end.tolist(), strict=True)
+    assert {(rows_of[first], rows_of[end - 1] + 1) for first, end in ends} == known
+    assert torch.equal(log.some(900).windows.first, log.windows.first)
 
 
 def test_runs_of_commands_by_hand():

@@ -43,8 +43,8 @@ from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.error_size import relative_size
 
-#: Number of rows for the search of the laws.
-_ROWS = 600
+#: Number of rows for the search of the laws, and of each of the stretches that they are from.
+_ROWS, _STRETCH = 600, 100
 #: The coarse search: laws shared by all actuators.
 _LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4, 0.8, 1.6)
 _RATES = (0.5, 1.0, 2.0, 4.0, 20.0)
@@ -252,6 +252,25 @@ def products_and_losses(turning, time, count, terms):
         terms[place + c] = terms[c] * abs(turned) * inverse
 
 
+def stretches(rows: int, most: int) -> tuple[Tensor, Tensor]:
+    """Return which rows are in stretches from all over a record, and where these begin, [N] bool.
+
+    A record changes while it is made: the drive, the battery, the guide of a recording.
+
+    Args:
+        rows: N.
+        most: largest number of rows in them; all rows, if there are not more.
+    """
+    kept, begins = torch.ones(rows, dtype=torch.bool), torch.zeros(rows, dtype=torch.bool)
+    if rows > most:
+        count = max(most // _STRETCH, 1)
+        part = torch.arange(rows) * count // rows
+        begins = part != torch.cat([torch.tensor([-1]), part[:-1]])
+        number = torch.arange(rows)
+        kept = number - torch.where(begins, number, 0).cummax(0).values < most // count
+    return kept, begins
+
+
 @dataclass(frozen=True)
 class Motion:
     """Rows in the form for the drive model.
@@ -286,16 +305,18 @@ class Motion:
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
 
-    def first(self, rows: int) -> Motion:
-        """Return the first rows, and as many of the poses within them."""
+    def some(self, most: int) -> Motion:
+        """Return stretches of the rows, ``most`` at most, and of the poses within them as many."""
+        kept, begins = stretches(len(self.x), most)
         within = self.within
         if within is not None:
-            known = torch.nonzero(within.row < rows).squeeze(1)
-            known = known[:: -(-len(known) // rows) or 1]
-            within = Within(*(part[known] for part in within)) if len(known) else None
-        weight = None if self.weight is None else self.weight[:rows]
-        cut = {name: getattr(self, name)[:rows] for name in ("x", "y", "follows")}
-        precision = None if self.precision is None else self.precision[:, :rows]
+            known = torch.nonzero(kept[within.row]).squeeze(1)
+            known = known[:: -(-len(known) // most) or 1]
+            number = kept.cumsum(0) - 1
+            within = Within(number[within.row[known]], within.time[known], within.moved[known])
+        weight = None if self.weight is None else self.weight[kept]
+        cut = {"x": self.x[kept], "y": self.y[kept], "follows": (self.follows & ~begins)[kept]}
+        precision = None if self.precision is None else self.precision[:, kept]
         return replace(self, **cut, within=within, weight=weight, precision=precision)
 
     def weighted(self, weight: Tensor) -> Motion:
@@ -388,8 +409,8 @@ class Rows(Protocol):
     @property
     def steered(self) -> bool: ...
 
-    def first(self, rows: int) -> Rows:
-        """Return the first rows."""
+    def some(self, most: int) -> Rows:
+        """Return stretches of the rows, about ``most`` rows or fewer."""
         ...
 
     def weighted(self, weight: Tensor) -> Rows:
@@ -466,14 +487,14 @@ def fit_drive(
     left = torch.stack([turns, shifts.unflatten(0, (2, -1)).norm(dim=0)])
     sized = replace(fit.rows, precision=(-relative_size(fit.rows.x, left)).exp())
     limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
-    best = _again(sized.first(_ROWS), fit.band, fit.laws, *limits, _STEPS)
+    best = _again(sized.some(_ROWS), fit.band, fit.laws, *limits, _STEPS)
     return Fit.of(sized, fit.band, best, True)
 
 
 def _fit_evenly(rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bool) -> Fit:
     """Return the drive model of rows whose errors all have one size; see :func:`fit_drive`."""
     count = len(rows.columns.driven)
-    searched = rows.first(_ROWS)
+    searched = rows.some(_ROWS)
     if not laws:
         at_once = _AT_ONCE.repeat(1, count)
         return Fit.of(
@@ -506,7 +527,7 @@ def _fully(
     rows: Rows, laws: Tensor, band: Tensor | None, lowest: Tensor, highest: Tensor
 ) -> tuple[Fit, float]:
     """Return the best drive model from approximate laws [L, C], and its cost."""
-    searched = rows.first(_ROWS)
+    searched = rows.some(_ROWS)
     turning = _turning(searched, laws, band)
     rows, searched = replace(rows, turning=turning), replace(searched, turning=turning)
     given, band = band, _dead_bands(searched, laws) if band is None else band
@@ -665,7 +686,7 @@ def fit_again(fit: Fit, weights: Tensor) -> list[Fit]:
             # Of a log, windows tell the size of members' differences; a few rows of each have too
             # many solutions.
             steps = _STEPS if isinstance(rows, Motion) and len(rows.x) >= _SIZED else _AGAIN
-            laws = _again(rows.first(_ROWS), fit.band, laws, *limits, steps)
+            laws = _again(rows.some(_ROWS), fit.band, laws, *limits, steps)
         fits.append(Fit.of(rows, fit.band, laws, fit.searched))
     return fits
 

@@ -29,6 +29,7 @@ from neurosim.training.trainers.drive_fit import (
     products_and_losses,
     regressions,
     searched_terms,
+    stretches,
     terms_near_zero,
 )
 
@@ -272,16 +273,30 @@ class Chains:
         windows = Windows(*(part[some] for part in windows))
         return cls(commanded, before, time, joined, y, windows, whole, columns)
 
-    def first(self, rows: int) -> Chains:
-        """Return the first rows with their windows, more than ``count`` because they are short."""
-        rows *= _SHORTER
-        some = self.windows.end <= rows
-        names = ("commanded", "before", "time", "joined", "y")
-        parts = {name: getattr(self, name)[:rows] for name in names}
-        windows = Windows(*(part[some] for part in self.windows))
-        whole = self.whole[self.whole < rows]
-        weight = None if self.weight is None else self.weight[: len(whole)]
-        return replace(self, **parts, windows=windows, whole=whole, weight=weight)
+    def some(self, most: int) -> Chains:
+        """Return stretches of the rows with their windows; more than ``most``: they are short."""
+        rows, count = len(self.time), len(self.whole)
+        of_whole, begin = stretches(count, max(_SHORTER * most * count // rows, 1))
+        whole = torch.zeros(rows, dtype=torch.long)
+        whole[self.whole] = 1
+        whole = whole.cumsum(0) - 1
+        kept, begins = of_whole[whole], torch.zeros(rows, dtype=torch.bool)
+        begins[self.whole[begin]] = True
+        joined = self.joined & ~begins
+        # All rows of a window must be kept, and none but its first may begin a stretch.
+        gaps = torch.cat([torch.zeros(1, dtype=torch.long), (~kept | begins).cumsum(0)])
+        windows = self.windows
+        inside = kept[windows.first] & (gaps[windows.end] == gaps[windows.first + 1])
+        number = torch.cat([kept.cumsum(0) - kept.long(), kept.sum()[None]])
+        windows = Windows(*(part[inside] for part in windows))
+        windows = windows._replace(first=number[windows.first], end=number[windows.end])
+        names = ("commanded", "before", "time", "y")
+        parts = {name: getattr(self, name)[kept] for name in names}
+        weight = None if self.weight is None else self.weight[of_whole]
+        firsts = number[self.whole[of_whole]]
+        return replace(
+            self, **parts, joined=joined[kept], windows=windows, whole=firsts, weight=weight
+        )
 
     def weighted(self, weight: Tensor) -> Chains:
         """Return the rows with other weights of the whole rows, [K]."""
