@@ -139,12 +139,12 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
                 self._rngs[row], self._rng_seeds[row] = seeding.np_random(own)
                 self.trials.forget(row)
         self._begin(rows)
+        self._seen[rows] = self.trials.see(rows)
         return self._seen.copy(), {}
 
     def _begin(self, rows: NDArray[np.int64]) -> None:
         self.trials.begin(rows, self._rngs)
         self._begun[rows], self._ended[rows] = True, False
-        self._seen[rows] = self.trials.see(rows)
         if self._picture is not None:
             self._picture.begin(rows, self.trials.poses[rows])
 
@@ -170,14 +170,12 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         rewards, decided, late, judged = self.trials.step(self.trials.checked(actions, again))
         if self._picture is not None:
             self._picture.add(self.trials.poses)
-        self._seen = self.trials.see()
         if again.any():  # NEXT_STEP: these trials were over
             rewards[again], decided[again], late[again] = 0.0, False, False
-        ended = decided | late
-        infos = _infos(judged, ended) if ended.any() else {}
-        if again.any():
             self._begin(np.flatnonzero(again))
-        self._ended = ended
+        self._seen = self.trials.see()
+        self._ended = ended = decided | late
+        infos = _infos(judged, ended) if ended.any() else {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             rows = np.flatnonzero(ended)
             final = np.full(self.num_envs, None, dtype=object)
@@ -186,6 +184,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
             infos = {"final_obs": final, "final_info": infos}
             infos |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
             self._begin(rows)
+            self._seen[rows] = self.trials.see(rows)
         return self._seen.copy(), rewards, decided, late, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...]:
