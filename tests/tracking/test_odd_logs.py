@@ -395,6 +395,8 @@ def test_counters_that_do_not_exist_or_are_not_of_a_log_are_refused(imported, tm
     time, poses, commands = drive(20.0)
     with pytest.raises(UserError, match="a counter is given for ticks, which is not a command"):
         imported(time, poses, commands, counters=("ticks",))
+    with pytest.raises(UserError, match="a counter is given for an empty name, which"):
+        imported(time, poses, commands, counters=("",))
     rows = tmp_path / "rows.csv"
     rows.write_text("duration,v,w,dx,dy,dtheta\n" + "1.0,0.1,0,0.1,0,0\n" * 9)
     with pytest.raises(UserError, match="--counters is for logs"):

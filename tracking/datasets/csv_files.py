@@ -118,8 +118,9 @@ def import_csv(
     for what, given in (("unit", units), ("counter", counters)):
         for name in given:
             if name not in commands:
+                which = name or "an empty name"
                 raise UserError(
-                    f"a {what} is given for {name}, which is not a command; {_listed(commands)}"
+                    f"a {what} is given for {which}, which is not a command; {_listed(commands)}"
                 )
     units = dict.fromkeys(counters, "1/s") | units
     units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
