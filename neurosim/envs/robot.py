@@ -197,8 +197,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         now = clock.now()
         due = now if self._due is None else self._due
         drive_for(self.robot, command, episode.step)
-        missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
-        self._due = (now if missed else due) + episode.step
+        self._due = self._deadlines.sent(due, now, episode.step)
         readings = self._readings
         clock.sleep_until(self._due)
         self._look()

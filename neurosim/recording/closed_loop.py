@@ -40,8 +40,9 @@ MARGIN = 1.1
 #: A robot that was seen less than this time ago, s, farther than this from the line, m, does not
 #: reach it within two short commands.
 JUST, SOON = 0.15, 0.1
-#: A command that is later than this fraction of its duration has missed its deadline.
-LATE = 0.1
+#: A command that is later than this fraction of its duration has missed its deadline; and the
+#: fraction up to which the next one is sent as early as if it had not.
+LATE, TOO_LATE = 0.1, 0.5
 
 
 @dataclass
@@ -58,13 +59,22 @@ class Deadlines:
     missed: int = 0
     worst_late_s: float = 0.0
 
-    def sent(self, late: float, duration: float) -> bool:
-        """Count a command with its delay (s); return whether it missed its deadline."""
-        missed = late > LATE * duration
+    def sent(self, due: float, at: float, duration: float) -> float:
+        """Count a command; return when the next one is due, s.
+
+        A late command is shortened, so that a trial takes as long as in a simulator; one that is
+        later than :data:`TOO_LATE` lasts whole.
+
+        Args:
+            due: time when it was due, s.
+            at: time when it was sent, s.
+            duration: of the command, s.
+        """
+        late = at - due
         self.steps += 1
-        self.missed += missed
+        self.missed += late > LATE * duration
         self.worst_late_s = round(max(self.worst_late_s, late), 6)
-        return missed
+        return (due if late <= TOO_LATE * duration else at) + duration
 
 
 def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
@@ -159,8 +169,7 @@ class ClosedLoopSession(Session):
                     break
                 self._clock.sleep_until(due)
                 self._write("command", command.numbers, command.duration, number)
-                missed = self.deadlines.sent(self._sent - due, command.duration)
-                due = (self._sent if missed else due) + command.duration
+                due = self.deadlines.sent(due, self._sent, command.duration)
                 progress.advance()
                 if self._clock.now() - asked > BATTERY_EVERY:
                     asked = self._clock.now()

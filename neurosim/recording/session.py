@@ -253,16 +253,16 @@ class Session:
 
     def _flash(self) -> None:
         """Stand still, and flash the lamp, if there is one."""
-        lamp = self._robot if isinstance(self._robot, Lamp) else None
+        lamp, switched = self._robot if isinstance(self._robot, Lamp) else None, list[float]()
         self._wait(2 * STILL)
-        for seconds, on in FLASHES if lamp is not None else ():
+        for seconds, on in (*FLASHES, (0.0, False)) if lamp is not None else ():
             self._write("lamp-on" if on else "lamp-off")
+            switched.append(self._sent)
             lamp.lamp(on)
             self._wait(seconds)
-        if lamp is not None:
-            self._write("lamp-off")
-            lamp.lamp(False)
         self._wait(STILL)
+        if switched and self._spotter is not None:
+            self._spotter.time_by_flash(list(zip(switched[::2], switched[1::2], strict=True)))
 
     def _wait(self, seconds: float) -> None:
         self._sleep_until(self._clock.now() + seconds)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from tracking.camera.camera_model import CameraModel
+from tracking.clock.sync import fit_clock
 from tracking.live import LiveTracker, Seen
 from tracking.markers.palette import SeenColour, warning
 from tracking.markers.sought import sought
@@ -17,6 +21,9 @@ from tracking.poses import marker_geometry, marker_poses, too_small
 
 #: Time without sight after which the user gets a message, s.
 WARN_AFTER = 0.5
+#: Number of last frames in which a flash is looked for, and longest time after which one may be
+#: seen, s.
+FLASHED, LATEST = 600, 1.0
 
 
 class Spotter:
@@ -52,6 +59,8 @@ class Spotter:
         self._by = f" ({sought(markers)})" if markers.get("tag") else ""
         self._lock = threading.Lock()
         self._last: tuple[float, NDArray] | None = None
+        self._delay = 0.0
+        self._frames = deque[tuple[float, float, float]](maxlen=FLASHED)
         self._since = now()
         self._warned = False
         self._judged = False
@@ -65,9 +74,33 @@ class Spotter:
 
     @property
     def last(self) -> tuple[float, NDArray] | None:
-        """Time (s, robot clock) and pose [3] of the last sighting; None if there was none."""
+        """Time (s, robot clock) and pose [3] of the last sighting; None if there was none.
+
+        Until :meth:`time_by_flash`, it is the time when the picture arrived.
+        """
         with self._lock:
             return self._last
+
+    def time_by_flash(self, lamp: Sequence[tuple[float, float]]) -> None:
+        """Find out how long after a command its effect is seen, from the lamp.
+
+        The camera, and a radio, take a tenth of a second or more. Sightings then have the times
+        that their tracked video will have, from which simulators are learned: those of the commands
+        whose effect they show.
+
+        Args:
+            lamp: (on, off) times of a flash, s, robot clock.
+        """
+        with self._lock:
+            frames = np.array(self._frames, float).reshape(-1, 3)
+        times, arrived, brightness = frames.T
+        try:
+            clock = fit_clock(times, brightness, lamp)
+        except UserError:
+            return  # tracking will tell why
+        delay = float(np.median(arrived - clock.to_robot(times)))
+        if 0.0 < delay < LATEST:
+            self._delay = delay
 
     def unseen(self, now: float) -> float:
         """Return the seconds since the robot was last seen."""
@@ -89,6 +122,8 @@ class Spotter:
             self._session, seen.index, *sighting.front, *sighting.rear, sighting.quality,
             sighting.lamp,
         )  # fmt: skip
+        with self._lock:
+            self._frames.append((seen.time, seen.arrived, sighting.lamp))
         if seen.others - self._others:
             self._others |= seen.others
             named = ", ".join(map(str, sorted(self._others)))
@@ -99,7 +134,7 @@ class Spotter:
             )[0]
             away = self.unseen(seen.arrived)
             with self._lock:
-                self._last = (seen.arrived, pose)
+                self._last = (seen.arrived - self._delay, pose)
             if seen.colours is not None and not self._judged:
                 self._judge(seen.colours)
             if self._warned:

@@ -158,7 +158,19 @@ def test_the_last_command_is_held_as_long_as_the_others_and_then_comes_rest(tmp_
     assert after >= 0.5
 
 
-def test_what_is_late_is_counted_and_does_not_shorten_what_follows(tmp_path):
+def test_a_trial_with_late_commands_takes_as_long_as_one_without(tmp_path):
+    """The 3rd and the 8th of twelve looks take 0.04 s longer; their commands are shortened."""
+    robot = Robot(slow_at=(8, 13), slow=0.06)
+    recording, _ = drive(tmp_path / "r", robot, Source(12))
+    sent = [line.time for line in recording.commands().itertuples() if line.kind == "command"]
+    assert recording.meta["deadlines"]["missed"] == 2
+    late = recording.meta["deadlines"]["worst_late_s"]
+    assert late == pytest.approx(0.037)
+    shortened = [0.1, 0.1 + late, 0.1 - late]
+    assert np.diff(sent) == pytest.approx([*shortened, 0.1, 0.1, *shortened, *[0.1] * 3])
+
+
+def test_what_is_very_late_does_not_shorten_what_follows(tmp_path):
     # Five looks before the start; the 3rd and the 8th step's are slow.
     recording, _ = drive(tmp_path / "r", Robot(slow_at=(8, 13)), Source(12))
     sent = [line.time for line in recording.commands().itertuples() if line.kind == "command"]

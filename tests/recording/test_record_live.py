@@ -4,6 +4,7 @@ import itertools
 import os
 import shutil
 import signal
+from collections import deque
 from dataclasses import replace
 from urllib.request import urlopen
 
@@ -381,6 +382,33 @@ def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
     assert np.abs(off[:, :2]).max() < 0.02
     assert truth.poses[-1, 0] == pytest.approx(0.3, abs=0.03)
     assert np.diff(seen.time[:-2]) == pytest.approx(0.15, abs=1e-5)
+
+
+def test_pictures_that_come_late_are_timed_by_the_flash(tmp_path):
+    """A controller sees the robot where the recording's poses have it, with a slow camera, too."""
+
+    def late(rig):
+        start, waiting = rig.camera.start, deque()
+
+        def delayed(take):
+            def put(time, frame):
+                waiting.append((time, frame.copy()))
+                if len(waiting) > 4:
+                    take(*waiting.popleft())
+
+            start(put)
+
+        rig.camera.start = delayed
+
+    source = ToTheEdge(0.3)
+    recording, message, _ = make(tmp_path / "r", source, source.steps, prepare=late)
+    assert message == []
+    seen, poses = recording.observations(), recording.poses()
+    # While it drives, at a steady speed or slowing down; 0.13 s are up to 2.5 cm.
+    some = (seen.command > 3) & (seen.command < 15)
+    there = np.interp(seen.time[some], poses.time, poses.pose[:, 0])
+    assert np.ptp(there) > 0.15
+    assert np.abs(seen.pose[some, 0] - there).max() < 0.006
 
 
 @pytest.mark.slow
