@@ -40,9 +40,11 @@ MARGIN = 1.1
 #: A robot that was seen less than this time ago, s, farther than this from the line, m, does not
 #: reach it within two short commands.
 JUST, SOON = 0.15, 0.1
-#: A command that is later than this fraction of its duration has missed its deadline; and the
-#: fraction up to which the next one is sent as early as if it had not.
-LATE, TOO_LATE = 0.1, 0.5
+#: A command that is later than this fraction of its duration has missed its deadline.
+LATE = 0.1
+#: Longest time by which late commands are shortened, and the same as a fraction of their duration;
+#: :data:`LATE` of a long one are shortened in any case.
+SHORTENED, AT_MOST = 0.05, 0.5
 
 
 @dataclass
@@ -63,7 +65,7 @@ class Deadlines:
         """Count a command; return when the next one is due, s.
 
         A late command is shortened, so that a trial takes as long as in a simulator; one that is
-        later than :data:`TOO_LATE` lasts whole.
+        later than by :data:`SHORTENED` lasts whole.
 
         Args:
             due: time when it was due, s.
@@ -74,7 +76,8 @@ class Deadlines:
         self.steps += 1
         self.missed += late > LATE * duration
         self.worst_late_s = round(max(self.worst_late_s, late), 6)
-        return (due if late <= TOO_LATE * duration else at) + duration
+        slight = late <= max(LATE * duration, min(SHORTENED, AT_MOST * duration))
+        return (due if slight else at) + duration
 
 
 def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:

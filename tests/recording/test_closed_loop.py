@@ -7,6 +7,7 @@ import pytest
 
 from neurosim.base.commands import TWO_WHEELS
 from neurosim.base.errors import UserError
+from neurosim.recording.closed_loop import Deadlines
 from neurosim.recording.commands import Command
 from neurosim.recording.record import BatteryLow, Guard, RecordSettings, Rig, record
 from neurosim.robots.base import Geometry
@@ -168,6 +169,21 @@ def test_a_trial_with_late_commands_takes_as_long_as_one_without(tmp_path):
     assert late == pytest.approx(0.037)
     shortened = [0.1, 0.1 + late, 0.1 - late]
     assert np.diff(sent) == pytest.approx([*shortened, 0.1, 0.1, *shortened, *[0.1] * 3])
+
+
+@pytest.mark.parametrize(
+    ("late", "duration", "due"),
+    [
+        (0.0, 0.1, 5.1),
+        (0.04, 0.1, 5.1),
+        (0.06, 0.1, 5.16),  # it lasts whole
+        (0.012, 0.02, 5.032),
+        (0.1, 1.5, 6.5),
+        (0.2, 1.5, 6.7),
+    ],
+)
+def test_when_the_next_command_is_due(late, duration, due):
+    assert Deadlines().sent(5.0, 5.0 + late, duration) == pytest.approx(due)
 
 
 def test_what_is_very_late_does_not_shorten_what_follows(tmp_path):
