@@ -32,11 +32,19 @@ def test_tracked_poses_are_where_the_robot_was(pipeline):
     truth = read_truth(pipeline / "recording")
     seen = poses.quality > 0
     assert seen.mean() > 0.99
-    # Poses are on the clock of the sent commands; the radio delivers these some 20 ms later.
-    error = (poses.pose - truth.pose_at(poses.time + 0.022))[seen]
-    error[:, 2] = np.remainder(error[:, 2] + np.pi, 2 * np.pi) - np.pi
-    assert np.sqrt(np.mean(error[:, :2] ** 2)) < 0.004
-    assert np.sqrt(np.mean(error[:, 2] ** 2)) < np.radians(0.3)
+
+    def error(late):
+        """Return root mean square errors of x, y and heading, the poses being late by some time."""
+        off = (poses.pose - truth.pose_at(poses.time + late))[seen]
+        off[:, 2] = np.remainder(off[:, 2] + np.pi, 2 * np.pi) - np.pi
+        return np.sqrt(np.mean(off**2, axis=0))
+
+    # Poses are on the clock of the sent commands; the radio delivers these some 20 ms later, and
+    # those of the two flashes a few milliseconds earlier or later.
+    late = min(np.arange(0.015, 0.034, 0.001), key=lambda late: error(late)[2])
+    assert late == pytest.approx(0.024, abs=0.005)
+    assert (error(late)[:2] < 0.004).all()
+    assert error(late)[2] < np.radians(0.2)
 
 
 def test_without_the_flashes_the_motion_gives_the_clock(pipeline, tmp_path):
