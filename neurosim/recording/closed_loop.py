@@ -42,8 +42,8 @@ MARGIN = 1.1
 JUST, SOON = 0.15, 0.1
 #: A command that is later than this fraction of its duration has missed its deadline.
 LATE = 0.1
-#: Longest time by which late commands are shortened, and the same as a fraction of their duration;
-#: :data:`LATE` of a long one are shortened in any case.
+#: Late commands are shortened by this time at most, s, and by this fraction of their duration; but
+#: long ones by :data:`LATE` of theirs.
 SHORTENED, AT_MOST = 0.05, 0.5
 
 
@@ -64,8 +64,8 @@ class Deadlines:
     def sent(self, due: float, at: float, duration: float) -> float:
         """Count a command; return when the next one is due, s.
 
-        A late command is shortened, so that a trial takes as long as in a simulator; one that is
-        later than by :data:`SHORTENED` lasts whole.
+        A command that is a little late is shortened, so that a trial takes as long as in a
+        simulator; one that is later (see :data:`SHORTENED`) keeps its duration.
 
         Args:
             due: time when it was due, s.

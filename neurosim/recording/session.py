@@ -156,7 +156,9 @@ class Session:
     def _run(self) -> bool:
         """Drive; see :meth:`run`."""
         try:
-            self._flash()
+            flash = self._flash()
+            if flash and self._spotter is not None:
+                self._spotter.time_by_flash(flash)
             self._learn_board()
             if self._board:
                 self._agreement.slowest = SLOWEST_GUARDED
@@ -251,8 +253,8 @@ class Session:
         """The command for rest."""
         return self._takes.rest(self._numbers)
 
-    def _flash(self) -> None:
-        """Stand still, and flash the lamp, if there is one."""
+    def _flash(self) -> list[tuple[float, float]]:
+        """Stand still, and flash the lamp, if there is one; return when it was on and off, s."""
         lamp, switched = self._robot if isinstance(self._robot, Lamp) else None, list[float]()
         self._wait(2 * STILL)
         for seconds, on in (*FLASHES, (0.0, False)) if lamp is not None else ():
@@ -261,8 +263,7 @@ class Session:
             lamp.lamp(on)
             self._wait(seconds)
         self._wait(STILL)
-        if switched and self._spotter is not None:
-            self._spotter.time_by_flash(list(zip(switched[::2], switched[1::2], strict=True)))
+        return list(zip(switched[::2], switched[1::2], strict=True))
 
     def _wait(self, seconds: float) -> None:
         self._sleep_until(self._clock.now() + seconds)

@@ -277,10 +277,7 @@ class Chains:
         """Return stretches of the rows with their windows; more than ``most``: they are short."""
         rows, count = len(self.time), len(self.whole)
         of_whole, begin = stretches(count, max(_SHORTER * most * count // rows, 1))
-        whole = torch.zeros(rows, dtype=torch.long)
-        whole[self.whole] = 1
-        whole = whole.cumsum(0) - 1
-        kept, begins = of_whole[whole], torch.zeros(rows, dtype=torch.bool)
+        kept, begins = of_whole[self._uncut], torch.zeros(rows, dtype=torch.bool)
         begins[self.whole[begin]] = True
         joined = self.joined & ~begins
         # All rows of a window must be kept, and none but its first may begin a stretch.
@@ -302,13 +299,18 @@ class Chains:
         """Return the rows with other weights of the whole rows, [K]."""
         return replace(self, weight=weight)
 
+    @property
+    def _uncut(self) -> Tensor:
+        """The number of the uncut row that each row is a part of, [N]."""
+        begins = torch.zeros(len(self.time), dtype=torch.long)
+        begins[self.whole] = 1
+        return begins.cumsum(0) - 1
+
     def _counted(self) -> Windows:
         """Return the windows with the mean weight of their rows."""
         if self.weight is None:
             return self.windows
-        row = torch.zeros(len(self.time), dtype=torch.long)
-        row[self.whole] = 1
-        until = torch.cat([torch.zeros(1), (self.weight[row.cumsum(0) - 1] * self.time).cumsum(0)])
+        until = torch.cat([torch.zeros(1), (self.weight[self._uncut] * self.time).cumsum(0)])
         lasts = torch.cat([torch.zeros(1), self.time.cumsum(0)])
         first, end, _, weight = self.windows
         mean = (until[end] - until[first]) / (lasts[end] - lasts[first])
