@@ -18,8 +18,11 @@ from neurosim.envs.picture import Picture, check_mode
 from neurosim.envs.single import CLOSED, made
 from neurosim.recording.closed_loop import Deadlines
 from neurosim.recording.markers import marker_settings
+from neurosim.recording.perimeter import Reckoning
+from neurosim.recording.session import STILL, flash
+from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Counters, drive_for, read_sensors, sensors_read_with
+from neurosim.robots.base import Counters, Lamp, drive_for, read_sensors, sensors_read_with
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
@@ -36,7 +39,9 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     Spaces, observations and rewards are those of :class:`neurosim.envs.single.TaskEnv` in the
     simulator. An action lasts for the task's step; :meth:`step` returns at its end. Poses come from
-    the wheels' counters, or from a camera with a calibration. The last ``info`` also has
+    the wheels' counters, or from a camera with a calibration; these are predicted to the time of
+    the observation from the last actions, and a lamp flashes before the first trial to tell how
+    late they are. The last ``info`` also has
     ``missed_deadlines``, the number of actions that came too late.
 
     Attributes:
@@ -86,7 +91,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.metadata = {**self.metadata, "render_fps": rate(goal)}
         self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
         self._picture = None if render_mode is None else Picture(simulator, goal, 1)
-        self._begun = self._closed = False
+        self._begun = self._closed = self._timed = False
         self._stack = ExitStack()
         with ExitStack() as opening:
             setup = Setup(
@@ -167,8 +172,13 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._odometry = Odometry(self.robot, start)  # type: ignore[arg-type]
         self._pose, self._steps, self._deadlines = start, 0, Deadlines()
         self._due: float | None = None
-        if self._spotter is not None and self._spotter.unseen(clock.now()) > REST:
-            raise UserError("the camera does not see the robot: put it on the board, in view")
+        self._reckoning = Reckoning()
+        if self._spotter is not None:
+            if self._spotter.unseen(clock.now()) > REST:
+                raise UserError("the camera does not see the robot: put it on the board, in view")
+            if isinstance(self.robot, Lamp) and not self._timed:
+                self._spotter.time_by_flash(self._flash(self.robot))
+                self._timed = True
         self._look()
         self._face.begin(np.zeros(1, np.int64), self._pose[None])
         self._begun = True
@@ -197,6 +207,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         now = clock.now()
         due = now if self._due is None else self._due
         drive_for(self.robot, command, episode.step)
+        self._drives(command)
         self._due = self._deadlines.sent(due, now, episode.step)
         readings = self._readings
         clock.sleep_until(self._due)
@@ -210,6 +221,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         info: dict[str, Any] = {}
         if decided or late:
             self.robot.stop()
+            self._drives(self.robot.commands.rest(command))
             if episode.rest > 0:
                 clock.sleep_until(clock.now() + episode.rest)
                 readings = self._readings
@@ -232,6 +244,25 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._show()
         return self._see(), float(reward[0]), decided, late, info
 
+    def _drives(self, command: tuple[float, ...]) -> None:
+        """Note a command that has just been sent."""
+        takes = self.robot.commands.measured(
+            full=RecordSettings.full_speed, track=RecordSettings.track
+        )
+        if takes.moves_as_known:
+            self._reckoning.sent(self.robot.clock.now(), takes.twist(command))
+
+    def _flash(self, lamp: Lamp) -> list[tuple[float, float]]:
+        clock = self.robot.clock
+
+        def wait(seconds: float) -> None:
+            clock.sleep_until(clock.now() + seconds)
+
+        wait(STILL)
+        times = flash(lamp, wait, lambda what: clock.now())
+        wait(STILL)
+        return times
+
     def _look(self) -> None:
         """Read the sensors and the pose; a robot that is not seen keeps its last pose."""
         self._readings = None
@@ -243,9 +274,9 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._odometry is not None:
             self._pose = np.array(self._odometry.read())
         elif self._spotter is not None and (last := self._spotter.last) is not None:
-            turned = last[1][2] - self._pose[2]  # a camera measures headings within one turn
-            heading = self._pose[2] + se2.wrapped(turned)
-            self._pose = np.array([*last[1][:2], heading])
+            pose, _ = self._reckoning.predict(last[1], last[0], self.robot.clock.now())
+            turned = pose[2] - self._pose[2]  # a camera measures headings within one turn
+            self._pose = np.array([*pose[:2], self._pose[2] + se2.wrapped(turned)])
 
     def _see(self) -> NDArray[np.float32]:
         times = np.array([self._steps * self._face.episode.step])

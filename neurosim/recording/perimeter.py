@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from neurosim.base.perimeter import DISTANCE_ERROR, EDGE, ENDS, LINE, STOPPING
 
-#: Largest age of a picture when it arrives, s.
-LATENCY = 0.1
 #: Time for which commands are kept, s.
 MEMORY = 5.0
 
@@ -115,17 +113,16 @@ class PositionGuard(Reckoning):
         self._half = np.array([board["length"], board["width"]], float) / 2
         self._margin = margin
 
-    def leaves(self, pose: NDArray, seen_at: float, now: float) -> bool:
+    def leaves(self, pose: NDArray, since: float, now: float) -> bool:
         """Return whether the robot must stop now to stand inside.
 
         A robot on its way back inside may continue.
 
         Args:
             pose: as last seen, [3].
-            seen_at: time when that picture arrived, s.
+            since: its time, s; if it is not known, the earliest.
             now: s.
         """
-        since = seen_at - LATENCY
         here, _ = self.predict(pose, since, now)
         there, distance = self.predict(pose, since, now + STOPPING)
         beyond = self.beyond(there)

@@ -74,6 +74,24 @@ class BatteryLow(UserError):
     """The battery fell below its limit; the recording is readable and can be resumed."""
 
 
+def flash(
+    robot: Lamp, wait: Callable[[float], None], note: Callable[[str], float]
+) -> list[tuple[float, float]]:
+    """Flash a robot's lamp; return the (on, off) times by its clock, s.
+
+    Args:
+        robot: with a lamp.
+        wait: waits some seconds.
+        note: gets lamp-on or lamp-off just before this is done, and returns the time, s.
+    """
+    times = []
+    for seconds, on in (*FLASHES, (0.0, False)):
+        times.append(note("lamp-on" if on else "lamp-off"))
+        robot.lamp(on)
+        wait(seconds)
+    return list(zip(times[::2], times[1::2], strict=True))
+
+
 @dataclass
 class _Todo:
     """A command that waits to be sent."""
@@ -222,7 +240,8 @@ class Session:
         numbers: tuple[float, ...] | None = None,
         duration: float | None = None,
         number: int | None = None,
-    ) -> None:
+    ) -> float:
+        """Log a line, and command the robot if there are ``numbers``; return the time, s."""
         now = round(self._clock.now(), 6)
         written = [None] * len(self._numbers) if numbers is None else numbers
         self._log.append(self._session, number, kind, now, *written, duration)
@@ -240,6 +259,7 @@ class Session:
             self._numbers = numbers
             self._running = number if kind == "command" else None
         self._sent = now
+        return now
 
     def _send(self, numbers: tuple[float, ...], duration: float | None) -> None:
         """Send a command of some duration (s); None: until the next one."""
@@ -255,15 +275,10 @@ class Session:
 
     def _flash(self) -> list[tuple[float, float]]:
         """Stand still, and flash the lamp, if there is one; return when it was on and off, s."""
-        lamp, switched = self._robot if isinstance(self._robot, Lamp) else None, list[float]()
         self._wait(2 * STILL)
-        for seconds, on in (*FLASHES, (0.0, False)) if lamp is not None else ():
-            self._write("lamp-on" if on else "lamp-off")
-            switched.append(self._sent)
-            lamp.lamp(on)
-            self._wait(seconds)
+        times = flash(self._robot, self._wait, self._write) if isinstance(self._robot, Lamp) else []
         self._wait(STILL)
-        return list(zip(switched[::2], switched[1::2], strict=True))
+        return times
 
     def _wait(self, seconds: float) -> None:
         self._sleep_until(self._clock.now() + seconds)
@@ -391,8 +406,10 @@ class Session:
 
     def _leaves(self) -> bool:
         """Return whether the robot, by its position, must stop now to stay on the board."""
-        last = None if self._spotter is None else self._spotter.last
-        return last is not None and self._perimeter.leaves(last[1], last[0], self._clock.now())
+        if self._spotter is None or (last := self._spotter.last) is None:
+            return False
+        since = last[0] - self._spotter.uncertainty
+        return self._perimeter.leaves(last[1], since, self._clock.now())
 
     def _is_lost(self) -> bool:
         """Return whether the robot is lost: it has no light sensors, and is not seen."""

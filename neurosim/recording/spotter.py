@@ -21,6 +21,8 @@ from tracking.poses import marker_geometry, marker_poses, too_small
 
 #: Time without sight after which the user gets a message, s.
 WARN_AFTER = 0.5
+#: Longest time that a picture, and a radio, take, if no flash tells, s.
+LATENCY = 0.1
 #: Number of last frames in which a flash is looked for, and longest time after which one may be
 #: seen, s.
 FLASHED, LATEST = 600, 1.0
@@ -59,7 +61,7 @@ class Spotter:
         self._by = f" ({sought(markers)})" if markers.get("tag") else ""
         self._lock = threading.Lock()
         self._last: tuple[float, NDArray] | None = None
-        self._delay = 0.0
+        self._delay: float | None = None
         self._frames = deque[tuple[float, float, float]](maxlen=FLASHED)
         self._since = now()
         self._warned = False
@@ -81,6 +83,11 @@ class Spotter:
         with self._lock:
             return self._last
 
+    @property
+    def uncertainty(self) -> float:
+        """Time, s, by which a sighting may be older than it says."""
+        return LATENCY if self._delay is None else 0.0
+
     def time_by_flash(self, lamp: Sequence[tuple[float, float]]) -> None:
         """Find out how long after a command its effect is seen, from the lamp.
 
@@ -101,6 +108,11 @@ class Spotter:
         delay = float(np.median(arrived - clock.to_robot(times)))
         if 0.0 < delay < LATEST:
             self._delay = delay
+        else:
+            self._say(
+                f"the lamp's flash is seen {delay:.2f} s after it, which cannot be, so poses have "
+                "the time when their picture arrived: is another light flashing?"
+            )
 
     def unseen(self, now: float) -> float:
         """Return the seconds since the robot was last seen."""
@@ -134,7 +146,7 @@ class Spotter:
             )[0]
             away = self.unseen(seen.arrived)
             with self._lock:
-                self._last = (seen.arrived - self._delay, pose)
+                self._last = (seen.arrived - (self._delay or 0.0), pose)
             if seen.colours is not None and not self._judged:
                 self._judge(seen.colours)
             if self._warned:

@@ -1,13 +1,18 @@
 """The robot as an environment, with the spaces of a simulator of it."""
 
+from collections import deque
+from contextlib import contextmanager
+
 import gymnasium
 import numpy as np
+import pandas as pd
 import pytest
 from motion_networks import random_motion_network
 from simulators_of_tests import tables
 
 import neurosim as ns
 import neurosim.envs
+import neurosim.envs.robot
 from neurosim.lab import VirtualRig
 from tracking.camera.camera_model import CameraModel
 
@@ -42,17 +47,22 @@ def test_a_khepera_is_driven_as_its_simulator_is():
         robot.reset()
 
 
-def test_an_nxt_is_where_the_camera_sees_it(tmp_path):
+@pytest.fixture
+def calibration(tmp_path):
     with VirtualRig(0, camera_size=(640, 480)) as rig:
         o = rig.camera.optics
         model = CameraModel((640, 480), o.matrix, o.distortion, o.rotation, o.translation)
     model.write(tmp_path / "calibration.json")
+    return tmp_path / "calibration.json"
+
+
+def test_an_nxt_is_where_the_camera_sees_it(calibration):
     settings = {"goals": [[0.3, 0.0, 0.0]], "seconds": 2.0, "step": 0.2}
     env = gymnasium.make(
         "neurosim/GoTo-v0",
         simulator=random_motion_network(),
         robot="virtual",
-        calibration=tmp_path / "calibration.json",
+        calibration=calibration,
         render_mode="rgb_array",
         **settings,
     )
@@ -67,6 +77,48 @@ def test_an_nxt_is_where_the_camera_sees_it(tmp_path):
     assert info["missed_deadlines"] == 0
     assert (env.render() != before).any()
     env.close()
+
+
+def test_a_slow_camera_shows_where_the_robot_is_and_not_where_it_was(
+    tmp_path, calibration, monkeypatch
+):
+    opened = []
+    opener = neurosim.envs.robot.open_rig
+
+    @contextmanager
+    def with_a_slow_camera(*arguments):
+        with opener(*arguments) as rig:
+            start, waiting = rig.camera.start, deque()
+
+            def delayed(take):
+                def put(time, frame):
+                    waiting.append((time, frame.copy()))
+                    if len(waiting) > 4:
+                        take(*waiting.popleft())
+
+                start(put)
+
+            monkeypatch.setattr(rig.camera, "start", delayed)
+            opened.append(rig)
+            yield rig
+
+    monkeypatch.setattr(neurosim.envs.robot, "open_rig", with_a_slow_camera)
+    env = ns.envs.make_env(
+        random_motion_network(), "go-to", goals=[[2.0, 0.0, 0.0]], seconds=2.0, step=0.2,
+        robot="virtual", calibration=calibration,
+    )  # fmt: skip
+    seen, times = [env.reset(seed=0)[0]], [env.robot.clock.now()]
+    for _ in range(9):
+        seen.append(env.step(np.array([40, 40], np.float32))[0])
+        times.append(env.robot.clock.now())
+    opened[0].finish(tmp_path, 1)
+    env.close()
+    truth = pd.read_csv(tmp_path / "truth" / "truth-001.csv")
+    x = np.interp(times, truth.time, truth.x)
+    ahead = 2.0 - np.array(seen)[:, 0]
+    assert np.ptp(x) > 0.2
+    # 0.13 s are 2.5 cm; at first it has not yet reached the speed of its command.
+    assert np.abs(ahead - x)[4:].max() < 0.01
 
 
 def test_what_a_robot_lacks_is_said():
