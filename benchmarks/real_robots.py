@@ -13,8 +13,8 @@ over lengths and outputs, first to the single peer with the least such mean, the
 at each length and output.
 
 Peers are those of :mod:`real_peers`. ``+u`` is on the residuals of the lagged bicycle, ``+v`` gets
-the speed measured before the window, which the other methods do not; ratios are to peers without
-it, and then to all.
+the speed measured before the window. Ratios are to peers without it; then ours gets it, too, and
+ratios are to all peers.
 
 Intervals: the percentage of windows within the central intervals of 50, 80 and 95 %, of each
 output; for each robot their mean over lengths and outputs, and by how many points those of 80 % are
@@ -274,14 +274,23 @@ def data_of(robot: Robot) -> TrainingData:
     return training_data(rows)
 
 
-def samples(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
-    """Return predicted displacements [W, 3] of windows, and samples of them, [D, W, 3]."""
+def samples(
+    simulator: MotionNetwork, windows: Cut, draws: int, seed: int, speeds: bool = False
+) -> tuple[Array, Array]:
+    """Return predicted displacements [W, 3] of windows, and samples of them, [D, W, 3].
+
+    With ``speeds`` the simulator gets the speed that was measured before the window.
+    """
     commands, warm = torch.tensor(windows.commands), round(WARM / STEP)
     generator = torch.Generator().manual_seed(seed)
     lasts = torch.full((len(commands), 1), STEP, dtype=torch.float64)
     state = simulator.start(torch.zeros(len(commands), 3, dtype=torch.float64), member=-1)
+    before = state
     for k in range(warm):
+        before = state if k == warm - round(BEFORE / STEP) else before
         state = simulator.step(state, torch.cat([commands[:, k], lasts], 1))
+    if speeds:
+        state = simulator.seen(state, before, torch.tensor(BEFORE * windows.speed), BEFORE)
     state = simulator.over(state)  # the noise begins with the window
     begun = state[:, :3].numpy()
     sampled = state.repeat(draws, 1)
@@ -430,18 +439,24 @@ def main() -> None:
                     "windows": len(judged.moved),
                     "error": off(mean, judged),
                     "coverage": held(sampled, judged),
+                    "error, speed known": off(
+                        samples(simulator, judged, 0, options.seed, speeds=True)[0], judged
+                    ),
                 }
             parts.append(part)
         together = mean_of(parts)
         ours = together["ours"]
-        errors = {length: own["error"] for length, own in ours.items()}
+        errors, known = (
+            {length: own[key] for length, own in ours.items()}
+            for key in ("error", "error, speed known")
+        )
         results[name] = {
             "rows": round(together["rows"]),
             "seconds": round(together["seconds"], 1),
             "ours": ours,
             "peers": kept[key],
             "ratios": ratios(errors, kept[key], False),
-            "ratios, speeds known": ratios(errors, kept[key], True),
+            "ratios, speeds known": ratios(known, kept[key], True),
         }
         if not options.json:
             print(words(name, results[name]), flush=True)
@@ -459,7 +474,7 @@ def words(name: str, result: dict) -> str:
         lines.append(
             f"  {length} s, {own['windows']:g} windows" + " " * 9 + "dx cm  dy cm dtheta deg"
         )
-        ordered = {"ours": own, **peers}
+        ordered = {"ours": own, "ours+v": {"error": own["error, speed known"]}, **peers}
         for label, one in ordered.items():
             cells = "".join(f"{value:8.2f}" for value in one["error"])
             if "coverage" in one:

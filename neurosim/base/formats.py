@@ -828,6 +828,7 @@ class MotionNetwork(Simulator, kw_only=True):
         kernel_units: number of units of the Gaussian process.
         central: whether a network of the mean precedes the members.
         noise: kind of the noise model.
+        excess: whether a measured speed counts.
         domain: commands from which it learned.
         sensors: sensors that it predicts.
         floor: the floor that it knows.
@@ -844,6 +845,7 @@ class MotionNetwork(Simulator, kw_only=True):
     kernel_units: Annotated[int, Meta(ge=0, le=10**6)] | None = None
     central: bool | None = None
     noise: dict[str, Any] | None = None
+    excess: bool | None = None
     domain: Commands | None = None
     sensors: Mounted | None = None
     floor: Floor | None = None

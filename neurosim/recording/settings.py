@@ -94,8 +94,8 @@ class RecordSettings(Checked):
         commands: Number of commands to send.
         guard: how the robot is kept on the board.
         battery_limit: Voltage below which the recording pauses, V.
-        full_speed: Wheel speed at 100 %, m/s. Like track, it is used to return inside and to predict
-            where the robot is a moment later.
+        full_speed: Wheel speed at 100 %, m/s. Like track, it is used to return inside, and to
+            predict where the robot is a moment later.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
         place: The place around the robot, or None; its board is then the ``board``.

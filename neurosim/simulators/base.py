@@ -22,8 +22,9 @@ from neurosim.simulators.numbers import numbers as random_numbers
 from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
-#: 8 has the place of tables, 10 a floor, 11 may have several cylinders and a light in tables.
-FORMAT, VERSION = "neurosim-simulator", 11
+#: 8 has the place of tables, 10 a floor, 11 may have several cylinders and a light in tables, 12
+#: has whether measured speeds count in a motion network.
+FORMAT, VERSION = "neurosim-simulator", 12
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
@@ -36,6 +37,7 @@ _OF_ROWS = {
     "step": ("state", "command"),
     "sense": ("state",),
     "over": ("state",),
+    "seen": ("state", "before", "moved"),
 }
 
 
@@ -377,9 +379,9 @@ def _tensor(simulator: Simulator, method: str, argument: str, rows: ArrayLike | 
             rows = torch.from_numpy(np.array(rows, np.float64)).to(simulator.device)
         except (TypeError, ValueError):
             raise UserError(f"{argument} must be numbers, a row for each robot") from None
-    names = {"pose": ("x", "y", "heading"), "command": simulator.command_names}.get(
-        argument, tuple(simulator.state_names)
-    )
+    place = ("x", "y", "heading")
+    columns = {"pose": place, "moved": place, "command": simulator.command_names}
+    names = columns.get(argument, tuple(simulator.state_names))
     # Readings may depend on the pose alone: then poses are accepted, too.
     wide = rows.ndim == 2 and (rows.shape[1] == len(names) or method == "sense")
     if not wide:

@@ -16,11 +16,13 @@ from neurosim.base.trajectory import Draws
 from neurosim.controllers import Plan
 from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.loop.stepped import SteppedRollouts
+from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.tasks.go_to import GoTo
 
 TASK = GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.02, heading_tolerance=math.radians(3.0))
 FAMILY = Plan(slots=5)
+FADES = Excess(torch.tensor([0.5, 0.5, 0.5]), torch.ones(3))
 QUICK = ReplanSettings(generations=25, draws=8)
 
 
@@ -29,6 +31,7 @@ def simulators():
     form = {"members": 3, "units": 0, "size": 0.2}
     return {
         "drive model": random_motion_network(**form),
+        "drive model, seen to slip": random_motion_network(excess=FADES, **form),
         "drive model, no noise": random_motion_network(noise=False, **form),
         "displacements": random_motion_network(drives=False, **form),
         "tables": replace(tables(), reaction=Reaction(answer=0.1, lag=(0.2, 0.3))),
@@ -45,6 +48,9 @@ def test_a_robot_that_is_under_way_goes_on_from_there(name):
     moving = sim.step(sim.start(torch.zeros(1, 3)), torch.tensor([[fastest, -0.7 * fastest, 0.2]]))
     compiled, stepped = sim.rollouts(family, EPISODE), SteppedRollouts(sim, family, EPISODE)
     starts = 0.1 + rng.uniform(0.0, 0.05, (6, 3))
+    if getattr(sim, "excess", None) is not None:
+        slips = torch.tensor([[0.02, -0.03, 0.05]], dtype=torch.float64)
+        moving = sim.seen(moving, sim.start(torch.zeros(1, 3)), slips, 0.2)
     standing = compiled.draw(starts, 3)
     for draws in (standing, Draws(starts)):
         under_way = replace(draws, state=moving[0].numpy())

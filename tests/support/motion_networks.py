@@ -89,6 +89,7 @@ def random_motion_network(
     scale=None,
     meta=None,
     floor=False,
+    excess=None,
 ):
     """Return an ensemble of random networks, of unequally many units.
 
@@ -107,6 +108,7 @@ def random_motion_network(
         scale: scale of each input.
         meta: other keys of simulator.json.
         floor: whether there is a floor.
+        excess: of :class:`Excess`, or None.
     """
     derived, count = Derived(swing), members + central
     inputs = len(names) + len(derived)
@@ -134,4 +136,5 @@ def random_motion_network(
         drive=drive_model(seed, actuators) if drives is True else drives or None,
         kernel_units=kernel_units(seed, units, inputs, count) if units else None,
         floor=random_floor(seed, 1 + members) if floor else None,
+        excess=excess,
     )

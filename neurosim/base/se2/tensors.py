@@ -22,6 +22,13 @@ def between(start: Tensor, end: Tensor) -> Tensor:
     return torch.cat([rotate(-start[..., 2], moved[..., :2]), moved[..., 2:]], dim=-1)
 
 
+def path(displacements: Tensor) -> Tensor:
+    """Return the poses [N + 1, 3] of successive displacements [N, 3], from zero on."""
+    theta = torch.cat([displacements.new_zeros(1), displacements[:, 2].cumsum(0)])
+    steps = rotate(theta[:-1], displacements[:, :2]).cumsum(0)
+    return torch.cat([torch.cat([steps.new_zeros(1, 2), steps]), theta.unsqueeze(1)], dim=1)
+
+
 def exp(twist: Tensor) -> Tensor:
     """Return the displacements of constant body twists (v_x, v_y, omega) held for unit time."""
     vx, vy, omega = twist.unbind(-1)

@@ -21,6 +21,7 @@ from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.floor import TENSORS as FLOOR
 from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
@@ -37,8 +38,8 @@ from neurosim.simulators.motion.sensors import TENSORS, Sensors
 #: Oldest version that can be read: in earlier ones the dead band has another name.
 _OLDEST = 9
 
-#: The tensors of kernel units.
-KERNEL = ("centres", "lengths", "weights")
+#: The tensors of kernel units, and of an excess.
+KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "believed")
 
 #: The name of the noise model in simulator.json; its numbers are stored with the weights.
 NOISE = {
@@ -69,6 +70,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         "members": simulator.members,
         "central": simulator.central,
         "noise": None if simulator.noise is None else NOISE,
+        "excess": simulator.excess is not None,
         **({} if corrects is None else {"correction": corrects}),
         **({} if simulator.known is None else {"domain": _domain_to_json(simulator.known)}),
         **(
@@ -93,6 +95,8 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         tensors |= {f"kernel.{k}": _numbers(simulator.kernel_units, k) for k in KERNEL}
     if simulator.noise is not None:
         tensors |= {f"noise.{k}": v.numpy() for k, v in simulator.noise.tensors().items()}
+    if simulator.excess is not None:
+        tensors |= {f"excess.{k}": _numbers(simulator.excess, k) for k in EXCESS}
     if simulator.known is not None:
         tensors["domain.seen"] = simulator.known.seen
     if sensors is not None:
@@ -152,6 +156,9 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         expected |= {f"kernel.{k}": v for k, v in zip(KERNEL, shapes, strict=True)}
     if noisy:
         expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
+    exceeds = content.get("excess", False)
+    if exceeds:
+        expected |= {f"excess.{k}": (3,) for k in EXCESS}
     stored = content.get("domain")
     if stored is not None:
         expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)
@@ -190,6 +197,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             files.made(path, "correction", Correction, content.get("correction", {})),
             _sensors(path, content, loaded),
             None if floor is None else _floor(floor, loaded),
+            Excess(**_part(loaded, "excess.")) if exceeds else None,
         )
     except ValueError as error:
         raise FileError(path, f"is not a motion network ({error})") from None

@@ -112,6 +112,7 @@ class MotionModel(NamedTuple):
     floor_corner: np.ndarray  #: [2] m, of the map's first point
     floor_cell: float  #: m, between its points
     floor_ahead: float  #: as in Floor
+    excess_lasts: np.ndarray  #: [3] as in Excess; [0]: there is none
 
 
 def scratch(a):
@@ -165,6 +166,7 @@ def step(a, states, command, z, work):
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
     behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
+    excess, time = start + len(began), command[a.source[a.duration]] if a.drives else 0.0
     for r in range(len(states)):
         own = states[r]
         m = int(own[-1]) + 1 if a.members else 0
@@ -203,6 +205,8 @@ def step(a, states, command, z, work):
                 own[3 + i] = command[a.following[i]]
         if len(a.floor_map) > 0:
             dx, dy, turn = on_floor(a, m, own[0], own[1], own[2], dx, dy, turn)
+        if len(a.excess_lasts) > 0:
+            dx, dy, turn = _exceed(a.excess_lasts, time, own[excess : excess + 3], dx, dy, turn)
         own[0], own[1], own[2] = se2.compose(own[0], own[1], own[2], dx, dy, turn)
 
 
@@ -786,10 +790,27 @@ def shake(dx, dy, turn, size, t, f, s, w):
     ff = math.sqrt(max(size[1] * width + size[5] - ft * ft, TINY))
     sf = (size[7] - st * ft) / ff
     ss = math.sqrt(max(size[2] * width + size[8] - st * st - sf * sf, TINY))
-    e_t, e_f, e_s = tt * t, ft * t + ff * f, st * t + sf * f + ss * s
-    x, y = se2.rotate(0.5 * e_t, dx, dy)
-    theta = turn + e_t
-    return se2.compose(x, y, 0.5 * theta, e_f, e_s, 0.5 * theta)
+    return _added(dx, dy, turn, ft * t + ff * f, st * t + sf * f + ss * s, tt * t)
+
+
+@kernel(forceinline=True)
+def _added(dx, dy, turn, ahead, left, more):
+    """Return a displacement with more motion; see :func:`.noise.added`."""
+    x, y = se2.rotate(0.5 * more, dx, dy)
+    theta = turn + more
+    return se2.compose(x, y, 0.5 * theta, ahead, left, 0.5 * theta)
+
+
+@kernel(forceinline=True)
+def _exceed(lasts, time, excess, dx, dy, turn):
+    """Return a displacement with the excess [3] of a time (s), which fades; see :class:`Excess`."""
+    if excess[0] == 0.0 and excess[1] == 0.0 and excess[2] == 0.0:
+        return dx, dy, turn
+    x, y, more = excess[0], excess[1], excess[2]
+    for i in range(3):
+        excess[i] *= math.exp(-time / lasts[i])
+    x, y = lasts[0] * (x - excess[0]), lasts[1] * (y - excess[1])
+    return _added(dx, dy, turn, x, y, lasts[2] * (more - excess[2]))
 
 
 engine.compiled(MotionModel, step, sense, scratch)

@@ -34,10 +34,19 @@ from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.excess import NAMES as EXCESS
+from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.floor import Floor, even
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import HALF_LOG2_E, LANES, MotionModel
-from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb, draw
+from neurosim.simulators.motion.noise import (
+    DRAWS,
+    CommandFeatures,
+    NoiseModel,
+    added,
+    disturb,
+    draw,
+)
 from neurosim.simulators.motion.sensors import Sensors, no_sensors
 
 OUTPUTS = ("dx", "dy", "dtheta")
@@ -68,6 +77,7 @@ class _State(NamedTuple):
     began_push: Tensor
     acts: Tensor
     goals: Tensor
+    excess: Tensor
     member: Tensor
 
 
@@ -106,6 +116,7 @@ class MotionNetwork(Simulator):
             the data.
         sensors: its sensors, with their maps of the board; None: it has none.
         floor: map of the lost fraction of motion; None: the floor is even.
+        excess: how a speed that is measured counts, see :meth:`seen`; None: it does not.
         meta: other parts of simulator.json: training, test errors, source.
         longest: the longest command in its data, s; infinite without a duration.
     """
@@ -131,6 +142,7 @@ class MotionNetwork(Simulator):
         correction: Correction | None = None,
         sensors: Sensors | None = None,
         floor: Floor | None = None,
+        excess: Excess | None = None,
     ):
         """Make a simulator.
 
@@ -172,6 +184,8 @@ class MotionNetwork(Simulator):
             raise ValueError("kernel units and networks do not fit each other")
         if floor is not None and len(floor.weights) != 1 + len(genes) - central:
             raise ValueError("the floor and networks do not fit each other")
+        if drive is None and excess is not None:
+            raise ValueError("an excess needs a drive model")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
         self.genes = genes.double()
@@ -191,6 +205,7 @@ class MotionNetwork(Simulator):
         self.correction = correction
         self.sensors = sensors
         self.floor = floor
+        self.excess = excess
         self._corrected = None if drive is None else correction.of_drive(drive)
         self.columns = columns
         place = columns.duration
@@ -210,6 +225,7 @@ class MotionNetwork(Simulator):
                 *(f"began_push_{name}" for name in driven),
                 *(f"waiting_{n}_acts" for n in range(drive.slots)),
                 *(f"waiting_{n}_{name}" for n in range(drive.slots) for name in driven),
+                *(() if excess is None else EXCESS),
             )
         if self.members > 1:
             self.state_names += ("member",)
@@ -408,6 +424,9 @@ class MotionNetwork(Simulator):
         if z is not None:
             moved = self.disturbed(x, moved, noise)
         since = self.on_floor(parts.pose, se2.between(displaced, moved), member)
+        if self.excess is not None:
+            more, left = self.excess.faded(parts.excess, step)
+            since, parts = added(since, more), parts._replace(excess=left)
         pose = se2.compose(parts.pose, since)
         speed, push = drive.reached(under, goals, elapsed.squeeze(1))
         now = parts._replace(pose=pose, speed=speed, push=push, commanded=driven, elapsed=elapsed)
@@ -418,7 +437,28 @@ class MotionNetwork(Simulator):
         assert self.drive is not None
         count, slots = len(self.columns.driven), self.drive.slots
         sizes = [3, *[count] * 3, 1, 3, DRAWS, *[count] * 2, slots, slots * count]
-        return _State(*state.split([*sizes, int(self.members > 1)], dim=1))
+        sizes += [0 if self.excess is None else len(EXCESS), int(self.members > 1)]
+        return _State(*state.split(sizes, dim=1))
+
+    def seen(self, state: Tensor, before: Tensor, moved: Tensor, seconds: float) -> Tensor:
+        """Return states [B, S] of robots that are seen to move otherwise than simulated.
+
+        They go on so for a while, where the rows showed that; see :class:`Excess`. Their poses and
+        everything else remain, so a pose that was measured is to be set, too.
+
+        Args:
+            state: now, [B, S].
+            before: the states from which these were simulated, [B, S].
+            moved: measured displacements since then, [B, 3] m, m, rad in the frame of the robot
+                then; NaN: not measured.
+            seconds: since then, s.
+        """
+        if self.excess is None:
+            return state
+        parts = self._parts(state)
+        simulated = se2.mid_turn(se2.between(before[:, :3], state[:, :3]))
+        off = (se2.mid_turn(moved.to(state)) - simulated) / seconds
+        return torch.cat(parts._replace(excess=self.excess.corrected(parts.excess, off)), dim=1)
 
     def _underway(self, parts: _State) -> Underway:
         """Return the actuators' state at the beginning of the last command."""
@@ -592,6 +632,7 @@ class MotionNetwork(Simulator):
             correction,
             self.sensors,
             self.floor,
+            self.excess,
         )
 
     def conditions(self) -> dict[str, Any]:
@@ -662,6 +703,7 @@ class MotionNetwork(Simulator):
             noisy=self.noise is not None,
             **(no_sensors() if self.sensors is None else self.sensors.arrays()),
             **(even() if self.floor is None else self.floor.arrays()),
+            excess_lasts=np.zeros(0) if self.excess is None else self.excess.lasts.cpu().numpy(),
         )
 
     def _laid_out(self) -> dict[str, Any]:

@@ -198,9 +198,14 @@ def disturb(
     turn, forward, sideways = (
         torch.stack([part * z[:, k] for k, part in enumerate(row)]).sum(0) for row in lower
     )
-    theta = mean[:, 2] + turn
-    a = se2.rotate(turn / 2, mean[:, :2])
-    b = se2.rotate(theta / 2, torch.stack([forward, sideways], dim=-1))
+    return added(mean, torch.stack([forward, sideways, turn], dim=-1))
+
+
+def added(moved: Tensor, more: Tensor) -> Tensor:
+    """Return displacements [B, 3] with more motion [B, 3] in the mid-turn frame."""
+    theta, turn = moved[:, 2] + more[:, 2], more[:, 2]
+    a = se2.rotate(turn / 2, moved[:, :2])
+    b = se2.rotate(theta / 2, more[:, :2])
     return torch.cat([a + b, theta.unsqueeze(-1)], dim=-1)
 
 

@@ -20,6 +20,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import torch
 from msgspec import Meta
 from torch import Tensor
@@ -33,12 +34,14 @@ from neurosim.networks.product_units import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, disturb, residual
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.error_size import row_weights
+from neurosim.training.excess import fit_excess
 from neurosim.training.noise import fit_noise, fit_spread
 from neurosim.training.trainers.drive_fit import Fit, Motion, fit_again, fit_drive
 from neurosim.training.trainers.floor_fit import FloorFit, evened, fit_floor
@@ -49,7 +52,7 @@ OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
     *("laws", "modes", "car", "dead_band", "swing", "process", "row_weights", "drive_members"),
-    *("floor", "spread"),
+    *("floor", "spread", "excess"),
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
@@ -121,7 +124,7 @@ class CombinedSettings(Checked):
             process), ``row_weights`` (rows with larger errors count less), ``drive_members`` (a
             drive model for each member), ``floor`` (a map of the slip over the board), ``spread``
             (the size of noise and of members' differences by runs of commands or windows of a
-            log).
+            log), ``excess`` (how long a speed that is measured lasts; learned with ``spread``).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -179,6 +182,22 @@ class _Parts(NamedTuple):
     y: Tensor
 
 
+class _Instants(NamedTuple):
+    """Instants of a log at which the robot was seen, [K], in the order of time.
+
+    Attributes:
+        row: the row in which each is, or which it ends.
+        since: time since the row's beginning, s.
+        moved: displacement since then, [K, 3].
+        ends: number of the instant at which each row ends, [N].
+    """
+
+    row: Tensor
+    since: Tensor
+    moved: Tensor
+    ends: Tensor
+
+
 class CombinedTrainer:
     """Learns a motion network with a drive model, its members and its noise; see the module."""
 
@@ -205,6 +224,7 @@ class CombinedTrainer:
         self._longest = float(self._data.input_scale[self._columns.duration])
         self._done: list[Tensor] = []
         self._floor: FloorFit | None = None
+        self._excess: Excess | None = None
 
     def advance(self) -> Tensor:
         """Learn the next part; return mean squared errors, [3]."""
@@ -465,13 +485,16 @@ class CombinedTrainer:
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
-    def _of_others(self, outputs: Tensor, part: Tensor) -> Tensor:
+    def _of_others(
+        self, outputs: Tensor, part: Tensor, instants: _Instants | None = None
+    ) -> Tensor:
         """Return displacements [N, 3] of rows by drive models of the other parts' rows.
 
         Args:
             outputs: outputs [N, 3] of the process, which has not seen the rows either; of whole
                 rows, or also of parts of commands.
             part: number of each whole row's part.
+            instants: K, if displacements [K, 3] until these are to be returned instead.
         """
         seen = torch.stack([part != k for k in range(int(part.max()) + 1)]).to(outputs)
         if len(part) > SCARCE:
@@ -484,6 +507,9 @@ class CombinedTrainer:
         means = []
         for fit in fits:
             x, under = self._inputs(fit)
+            if instants is not None:
+                means.append(self._until(fit.drive, x, under, outputs, instants))
+                continue
             phases = [self._phases(fit.drive, x, under)]
             if len(outputs) > len(x):
                 x = torch.cat([x, self._part_inputs(fit.drive, x)])
@@ -491,8 +517,40 @@ class CombinedTrainer:
             changing, twist = (torch.cat(both) for both in zip(*phases, strict=True))
             twist = twist + x[:, self._columns.duration, None] * outputs
             means.append(se2.compose(changing, se2.exp(twist)))
-        number = part[self._command[: len(outputs)]]
-        return torch.stack(means)[number, torch.arange(len(outputs))]
+        number = part[self._command[: len(outputs)] if instants is None else instants.row]
+        return torch.stack(means)[number, torch.arange(len(number))]
+
+    def _until(
+        self,
+        drive: DriveModel,
+        x: Tensor,
+        under: Underway | None,
+        outputs: Tensor,
+        instants: _Instants,
+    ) -> Tensor:
+        """Return displacements [K, 3] until instants within rows of inputs [N, I]."""
+        there = x[instants.row]
+        there[:, self._columns.duration] = fraction = instants.since / self._longest
+        own = None if under is None else Underway(*(each[instants.row] for each in under))
+        changing, twist = self._phases(drive, there, own)
+        twist = twist + fraction.unsqueeze(1) * outputs[instants.row]
+        return se2.compose(changing, se2.exp(twist))
+
+    def _instants(self) -> _Instants | None:
+        """Return when a robot was seen in a log; None: its rows are commands of their own."""
+        joined, within, y = self._data.joined, self._data.within, self._data.y
+        if joined is None:
+            return None
+        lasts = self._data.x[:, self._columns.duration]
+        first, whole = torch.nonzero(~joined).squeeze(1), torch.arange(len(y))
+        row, since = torch.cat([first, whole]), torch.cat([0.0 * lasts[first], lasts])
+        moved = torch.cat([0.0 * y[first], y])
+        if within is not None and not self._settings.whole_commands:
+            row, since = torch.cat([row, within.row]), torch.cat([since, within.time])
+            moved = torch.cat([moved, within.moved])
+        order = torch.from_numpy(np.lexsort((since.numpy(), row.numpy())))
+        ends = torch.searchsorted(row[order], whole, right=True) - 1
+        return _Instants(row[order], since[order], moved[order], ends)
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
         """Return the weight of the process for each output, [3].
@@ -598,6 +656,7 @@ class CombinedTrainer:
             drive=self._drive,
             kernel_units=KernelUnits(process.centres, process.lengths, kernel),
             floor=None if self._floor is None else self._floor.floor,
+            excess=self._excess,
         )
 
     def _noise(self, simulator: MotionNetwork, unseen: Tensor) -> NoiseModel:
@@ -645,7 +704,11 @@ class CombinedTrainer:
         stride = -(-len(windows.first) // self._settings.noise_rows)
         windows = Windows(*(part[::stride] for part in windows))
         row, block = torch.arange(whole), min(-(-whole // PARTS), BLOCK)
-        mean = self._of_others(unseen[:whole], row // block % PARTS)
+        known = self._instants()
+        mean = self._of_others(unseen[:whole], row // block % PARTS, known)
+        if known is not None:
+            self._excess = self._fit_excess(known, mean)
+            mean = mean[known.ends]
 
         def summed(values: Tensor) -> Tensor:
             """Return sums of values [..., N, 3] over windows, [..., W, 3]."""
@@ -664,6 +727,19 @@ class CombinedTrainer:
         sums = torch.stack(own), summed(differs)
         of_noise, of_members = fit_spread(error, *sums, stride * windows.weight)
         return of_noise, of_members.roll(-1).unsqueeze(1)
+
+    def _fit_excess(self, known: _Instants, predicted: Tensor) -> Excess | None:
+        """Learn how a speed that is measured counts in a log; see :func:`fit_excess`."""
+        joined = self._data.joined
+        if joined is None or "excess" in self._settings.without:
+            return None
+        lasts = self._data.x[:, self._columns.duration]
+        paths = [
+            se2.compose(se2.path(moved[known.ends])[known.row], moved)
+            for moved in (predicted, known.moved)
+        ]
+        time = (lasts.cumsum(0) - lasts)[known.row] + known.since
+        return fit_excess(time, *paths, (~joined).cumsum(0)[known.row])
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
