@@ -222,7 +222,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if decided or late:
             self.robot.stop()
             self._drives(self.robot.commands.rest(command))
-            if episode.rest > 0:
+            if late and episode.rest > 0:  # the result of one that is decided does not change
                 clock.sleep_until(clock.now() + episode.rest)
                 readings = self._readings
                 self._look()

@@ -106,13 +106,8 @@ class Spotter:
         except UserError:
             return  # tracking will tell why
         delay = float(np.median(arrived - clock.to_robot(times)))
-        if 0.0 < delay < LATEST:
+        if 0.0 < delay < LATEST:  # a robot that is seen later is stopped, because it seems to stand
             self._delay = delay
-        else:
-            self._say(
-                f"the lamp's flash is seen {delay:.2f} s after it, which cannot be, so poses have "
-                "the time when their picture arrived: is another light flashing?"
-            )
 
     def unseen(self, now: float) -> float:
         """Return the seconds since the robot was last seen."""
