@@ -63,9 +63,10 @@ OUTPUTS = ("dx", "dy", "dtheta")
 READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
 #: Fraction of a log, last in time, that is held out, and how long windows are, s.
 HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
-#: Commands are sampled in steps of this, s, from this long before a window on; windows begin this
-#: often in the earlier rows, and in the held-out ones; and the largest number of windows.
-STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 8.0, 0.1, 0.25, 1200, 300
+#: Peers get commands in steps of this, s, ours in parts of it (a simulator knows when each was
+#: given), both from this long before a window on. Windows begin this often in the earlier rows, and
+#: in the held-out ones; and the largest number of windows.
+STEP, FINE, WARM, EVERY, APART, MOST, JUDGED = 0.05, 4, 8.0, 0.1, 0.25, 1200, 300
 #: Turns in which the drives of a robot that has few are held out, so that all are judged.
 FOLDS = 4
 #: A speed before a window is measured over this time, s.
@@ -94,11 +95,13 @@ class Cut(NamedTuple):
 
     Attributes:
         commands: in steps, from :data:`WARM` before the window to its end, [W, K, C].
+        fine: the same in shorter steps, [W, FINE K, C].
         moved: displacement, [W, 3] m, m, rad.
         speed: measured before the window, [W, 3] m/s, m/s, rad/s; NaN where it is not known.
     """
 
     commands: Array
+    fine: Array
     moved: Array
     speed: Array
 
@@ -231,17 +234,21 @@ def mean_of(results: list) -> Any:
 
 def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -> Cut:
     """Return windows of a length (s) that begin at this interval (s), ``most`` at most."""
-    results: list[tuple[Array, Array, Array]] = []
-    offsets = (np.arange(-round(WARM / STEP), round(length / STEP)) + 0.5) * STEP
+    results: list[tuple[Array, ...]] = []
+    first, last = -round(WARM / STEP), round(length / STEP)
+    offsets = [(np.arange(n * first, n * last) + 0.5) * STEP / n for n in (1, FINE)]
     for log, start in logs:
         for begin in np.arange(
             max(start, log.pose_time[0]), log.pose_time[-1] - length + 1e-6, every
         ):
-            place = np.searchsorted(log.time, begin + offsets + 1e-6, side="right") - 1
+            places = (
+                np.searchsorted(log.time, begin + o + 1e-6, side="right") - 1 for o in offsets
+            )
+            given = (log.commands[place.clip(0)] for place in places)
             ends = log.pose_at(np.array([begin - BEFORE, begin, begin + length]))
             known = begin - BEFORE >= log.pose_time[0]
             speed = se2.between(ends[0], ends[1]) / BEFORE if known else np.full(3, np.nan)
-            results.append((log.commands[place.clip(0)], se2.between(ends[1], ends[2]), speed))
+            results.append((*given, se2.between(ends[1], ends[2]), speed))
     results = results[:: -(-len(results) // most)]
     return Cut(*(np.array(part) for part in zip(*results, strict=True)))
 
@@ -281,13 +288,13 @@ def samples(
 
     With ``speeds`` the simulator gets the speed that was measured before the window.
     """
-    commands, warm = torch.tensor(windows.commands), round(WARM / STEP)
+    commands, warm = torch.tensor(windows.fine), FINE * round(WARM / STEP)
     generator = torch.Generator().manual_seed(seed)
-    lasts = torch.full((len(commands), 1), STEP, dtype=torch.float64)
+    lasts = torch.full((len(commands), 1), STEP / FINE, dtype=torch.float64)
     state = simulator.start(torch.zeros(len(commands), 3, dtype=torch.float64), member=-1)
     before = state
     for k in range(warm):
-        before = state if k == warm - round(BEFORE / STEP) else before
+        before = state if k == warm - round(FINE * BEFORE / STEP) else before
         state = simulator.step(state, torch.cat([commands[:, k], lasts], 1))
     if speeds:
         state = simulator.seen(state, before, torch.tensor(BEFORE * windows.speed), BEFORE)
@@ -329,7 +336,7 @@ def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]
         for name, products in (("unicycle", False), ("bicycle", True))
     }
     short = cut(earlier, PETS_STEP, EVERY / 2, 2 * MOST)
-    pets = Pets(STEP, warm, seed).fit(*short)
+    pets = Pets(STEP, warm, seed).fit(short.commands, short.moved, short.speed)
     kinds = ("ridge", "boosting") if quick else ("ridge", "process", "boosting", "ensemble")
     regressors: dict[float, dict[str, Regressor]] = {}
     results: dict[str, dict[str, dict]] = {}
@@ -352,7 +359,8 @@ def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]
             for ending, base in (("", None), ("+u", lagged["lagged bicycle"])):
                 for speeds in (False, True):
                     name = kind + ending + "+v" * speeds
-                    made[name] = Regressor(kind, base, speeds, warm, seed).fit(*learns)
+                    made[name] = Regressor(kind, base, speeds, warm, seed)
+                    made[name].fit(learns.commands, learns.moved, learns.speed)
                     mean, error = made[name].predict(judged.commands, judged.speed)
                     own[name] = {"error": off(mean, judged)}
                     if error is not None:
