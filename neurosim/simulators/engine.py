@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 
 from neurosim.base.compiled import njit
 from neurosim.base.kernels import kernel
-from neurosim.base.threads import cores, on_cores
+from neurosim.base.threads import ALONE, Pool, cores, on_cores, taken
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped
+from neurosim.base.waiting import show
 from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
 from neurosim.simulators.sampling import Stepper, began, draw_samples, trial_steps
@@ -137,6 +138,7 @@ class Room(NamedTuple):
     seen: np.ndarray  #: [R] readings
     no_noise: np.ndarray  #: [0]
     no_noises: np.ndarray  #: [0, 0]
+    pool: Pool  #: of the groups
 
 
 def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, readings, ends):
@@ -151,7 +153,8 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
         begun: [1 or P, R, S] first states of the robots, for all individuals or for each.
         z: [1 or P, T, R, Z] float32, the noise of every step; T = 0: none. The readings before step
             k use the k-th, the n-th given command the n-th.
-        first, last: the driven groups, from the first to before the last.
+        first, last: the driven groups, from the first to before the last; or those among which it
+            takes free ones.
         room: :class:`Room`.
         poses: [P, R, T + 1, 3], written: before each step and after the last; empty: not kept.
         commands: [P, R, T, C], written: of networks, without the duration; T = 0: not kept.
@@ -159,12 +162,18 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
             not kept.
         ends: [P, R, S], written: the states after the last step.
     """
+    pool, turn = room.pool, 0
+    if pool.given > 0:
+        show(pool.numbers, 0, pool.given)
     command, seen, values, together = room.command, room.seen, room.values, len(room.states)
     samples, width, columns = ends.shape[1], ends.shape[2], len(pilot.scale)
     parts = (samples + together - 1) // together
     posed, noted, kept = poses.shape[2] > 0, commands.shape[2] > 0, readings.shape[2] > 0
     noisy = z.shape[1] > 0
-    for group in range(first, last):
+    group, stop = first, last
+    if pool.parts > 1:
+        group, stop, turn = taken(pool, last, turn)
+    while group < stop:
         p, n = group // parts, group % parts * together
         here = room.states[: min(together, samples - n)]
         own, numbers = p if len(begun) > 1 else 0, p if len(z) > 1 else 0
@@ -211,6 +220,9 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
                     poses[p, n + r, pilot.length, i] = here[r, i]
             for i in range(width):
                 ends[p, n + r, i] = here[r, i]
+        group += 1
+        if group == stop and pool.parts > 1:
+            group, stop, turn = taken(pool, last, turn)
 
 
 def _on_cores(
@@ -235,7 +247,7 @@ def _on_cores(
     groups = len(ends) * -(-ends.shape[1] // together)
     least = -(-_WORTH_SHARING // max(1, together * pilot.length))
 
-    def part(first: int, last: int) -> None:
+    def part(first: int, last: int, pool: Pool = ALONE) -> None:
         try:
             work = works.pop()
         except IndexError:
@@ -248,11 +260,12 @@ def _on_cores(
             np.zeros(readings.shape[3]),
             np.empty(0, np.float32),
             np.empty((0, 0), np.float32),
+            pool,
         )
         functions.drive(model, pilot, genes, begun, z, first, last, room, *written)
         works.append(work)
 
-    on_cores(functions.drive, part, groups, least)
+    on_cores(functions.drive, part, groups, least, pooled=True)
 
 
 class ThreadSafe:

@@ -1,14 +1,19 @@
 """Work distributed to cores."""
 
+import os
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numba
+import numpy as np
 import pytest
 
 import neurosim
-from neurosim.base.threads import cores, on_cores, one_core
+from neurosim.base.compiled import njit
+from neurosim.base.threads import ALONE, cores, on_cores, one_core, taken
+from neurosim.base.waiting import show
 
 COMPILED = SimpleNamespace(overloads={"one": True})
 
@@ -71,6 +76,100 @@ def test_an_error_in_another_thread_is_raised(monkeypatch):
 
     with pytest.raises(ValueError, match="second"):
         on_cores(COMPILED, part, 2)
+
+
+@njit(nogil=True, cache=False)
+def _count(pool, count, done, slow):
+    if pool.given > 0:
+        show(pool.numbers, 0, pool.given)
+    first, last, turn = taken(pool, count, 0)
+    while first < last:
+        for n in range(first, last):
+            done[n] += 1
+            for _ in range(slow[n]):
+                done[n] += 1
+            done[n] -= slow[n]
+        first, last, turn = taken(pool, count, turn)
+
+
+@pytest.mark.parametrize("cores", [2, 3, 5])
+@pytest.mark.parametrize("count", [2, 5, 1000])
+def test_threads_take_free_pieces_until_each_is_done_once(monkeypatch, cores, count):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: cores)
+    # The first part takes much longer than the others.
+    slow, threads = np.where(np.arange(count) < count // cores, 20_000, 0), set()
+    for _ in range(20):
+        done = np.zeros(count, np.int64)
+
+        def part(first, last, pool=ALONE, done=done):
+            if pool is ALONE:
+                assert first == last == 0  # so that it is compiled
+                return
+            assert (first, last) == (0, count)
+            threads.add((threading.get_ident(), pool.own))
+            _count(pool, last, done, slow)
+
+        on_cores(_count, part, count, pooled=True)
+        assert (done == 1).all()
+    assert len(threads) == min(cores, count)
+
+
+def test_helpers_that_sleep_are_woken(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    for pause in (0.0, 1e-4, 3e-4, 1e-2) * 10:
+        parts = []
+        on_cores(COMPILED, lambda first, last: parts.append(first), 2)  # noqa: B023
+        assert sorted(parts) == [0, 1]
+        time.sleep(pause)
+
+
+def test_two_threads_and_work_within_work_do_all(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    done = np.zeros((4, 6, 10), np.int64)
+
+    def outer(own):
+        def part(first, last):
+            for n in range(first, last):
+                on_cores(COMPILED, lambda a, b, n=n: add(n, a, b), 10)
+
+        def add(n, first, last):
+            done[own, n, first:last] += 1
+
+        on_cores(COMPILED, part, 6)
+
+    threads = [threading.Thread(target=outer, args=(own,)) for own in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (done == 1).all()
+
+
+def test_an_interruption_leaves_helpers_that_work(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+
+    def interrupted(first, last, *pool):
+        if threading.current_thread() is threading.main_thread():
+            raise KeyboardInterrupt
+
+    for pooled in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            on_cores(COMPILED, interrupted, 2, pooled=pooled)
+        parts = []
+        on_cores(COMPILED, lambda first, last: parts.append(first), 2)  # noqa: B023
+        assert sorted(parts) == [0, 1]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="without forks")
+def test_a_forked_process_starts_helpers_of_its_own(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    on_cores(COMPILED, lambda first, last: None, 2)
+    child = os.fork()
+    if child == 0:
+        parts = []
+        on_cores(COMPILED, lambda first, last: parts.append(first), 2)
+        os._exit(0 if sorted(parts) == [0, 1] else 1)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_no_kernel_has_a_parallel_region_of_its_own():

@@ -93,7 +93,7 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
     functions = engine.functions_of(simulator.compiled())
 
     def drive(*given):
-        fractions.append(given[5:7])
+        fractions.append((*given[5:7], given[7].pool.own))
         functions.drive(*given)
 
     drive.overloads = {"compiled": True}
@@ -106,9 +106,9 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
         return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, samples=301).poses
 
     alone = driven(1)
-    assert sorted(fractions) == [(0, 1)]
+    assert sorted(fractions) == [(0, 1, 0)]
     assert np.array_equal(driven(3), alone)
-    assert sorted(fractions) == [(0, 1), (1, 2), (2, 3)]
+    assert sorted(fractions) == [(0, 3, 0), (0, 3, 1), (0, 3, 2)]
 
 
 @pytest.mark.slow
