@@ -288,31 +288,27 @@ def samples(
 
     With ``speeds`` the simulator gets the speed that was measured before the window.
     """
-    commands, warm = torch.tensor(windows.fine), FINE * round(WARM / STEP)
-    generator = torch.Generator().manual_seed(seed)
-    lasts = torch.full((len(commands), 1), STEP / FINE, dtype=torch.float64)
-    state = simulator.start(torch.zeros(len(commands), 3, dtype=torch.float64), member=-1)
-    before = state
+    stepper, rng = simulator.stepper(), np.random.default_rng(seed)
+    warm, count = FINE * round(WARM / STEP), len(windows.moved)
+    lasts = np.full((count, windows.fine.shape[1], 1), STEP / FINE)
+    commands = np.concatenate([windows.fine, lasts], 2)
+    state = before = stepper.start(np.zeros((count, 3)))
     for k in range(warm):
         before = state if k == warm - round(FINE * BEFORE / STEP) else before
-        state = simulator.step(state, torch.cat([commands[:, k], lasts], 1))
+        state = stepper.step(state, commands[:, k], None)
     if speeds:
-        state = simulator.seen(state, before, torch.tensor(BEFORE * windows.speed), BEFORE)
+        state = simulator.seen(state, before, BEFORE * windows.speed, BEFORE)
     state = simulator.over(state)  # the noise begins with the window
-    begun = state[:, :3].numpy()
-    sampled = state.repeat(draws, 1)
+    begun, sampled = state[:, :3], np.tile(state, (draws, 1))
     if simulator.members > 1:
-        sampled[:, -1] = simulator.draw_members(len(sampled), generator).to(sampled)
+        sampled[:, -1] = rng.integers(simulator.members, size=len(sampled))
     for k in range(warm, commands.shape[1]):
-        command = torch.cat([commands[:, k], lasts], 1)
-        state = simulator.step(state, command)
-        sampled = simulator.step(sampled, command.repeat(draws, 1), generator)
-    ends = (
-        sampled[:, :3].unflatten(0, (draws, len(commands))).numpy()
-        if draws
-        else np.zeros((0, len(begun), 3))
-    )
-    return se2.between(begun, state[:, :3].numpy()), se2.between(begun, ends)
+        state = stepper.step(state, commands[:, k], None)
+        if draws:
+            z = rng.standard_normal((len(sampled), simulator.noise_width), np.float32)
+            sampled = stepper.step(sampled, np.tile(commands[:, k], (draws, 1)), z)
+    ends = sampled[:, :3].reshape(draws, count, 3)
+    return se2.between(begun, state[:, :3]), se2.between(begun, ends)
 
 
 def off(predicted: Array, windows: Cut) -> list[float]:
