@@ -1,6 +1,5 @@
 """The robot as an environment, with the spaces of a simulator of it."""
 
-from collections import deque
 from contextlib import contextmanager
 
 import gymnasium
@@ -9,6 +8,7 @@ import pandas as pd
 import pytest
 from motion_networks import random_motion_network
 from simulators_of_tests import tables
+from slow_camera import delay
 
 import neurosim as ns
 import neurosim.envs
@@ -88,17 +88,7 @@ def test_a_slow_camera_shows_where_the_robot_is_and_not_where_it_was(
     @contextmanager
     def with_a_slow_camera(*arguments):
         with opener(*arguments) as rig:
-            start, waiting = rig.camera.start, deque()
-
-            def delayed(take):
-                def put(time, frame):
-                    waiting.append((time, frame.copy()))
-                    if len(waiting) > 4:
-                        take(*waiting.popleft())
-
-                start(put)
-
-            monkeypatch.setattr(rig.camera, "start", delayed)
+            delay(rig.camera, frames=4)
             opened.append(rig)
             yield rig
 

@@ -4,7 +4,6 @@ import itertools
 import os
 import shutil
 import signal
-from collections import deque
 from dataclasses import replace
 from urllib.request import urlopen
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
 from processes import ended_by, started
+from slow_camera import delay
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.lab import VirtualRig, read_truth
@@ -388,17 +388,7 @@ def test_pictures_that_come_late_are_timed_by_the_flash(tmp_path):
     """A controller sees the robot where the recording's poses have it, with a slow camera, too."""
 
     def late(rig):
-        start, waiting = rig.camera.start, deque()
-
-        def delayed(take):
-            def put(time, frame):
-                waiting.append((time, frame.copy()))
-                if len(waiting) > 4:
-                    take(*waiting.popleft())
-
-            start(put)
-
-        rig.camera.start = delayed
+        delay(rig.camera, frames=4)
 
     source = ToTheEdge(0.3)
     recording, message, _ = make(tmp_path / "r", source, source.steps, prepare=late)
