@@ -4,7 +4,7 @@ from collections import deque
 
 
 def delay(camera, frames):
-    """Make a camera of the lab deliver each picture so many frames late."""
+    """Make a camera of the lab deliver its pictures some frames late."""
     start, waiting = camera.start, deque()
 
     def delayed(take):
