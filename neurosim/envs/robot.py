@@ -100,6 +100,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             )
             rig = opening.enter_context(open_rig(robot, options, setup))
             self.robot = opening.enter_context(rig.robot)
+            usual = {"full": RecordSettings.full_speed, "track": RecordSettings.track}
+            self._takes = self.robot.commands.measured(**usual)
             own = rig.place
             self._place = place or (_ask if own is None else lambda pose: own(*pose))
             self._virtual = RIGS.is_virtual(robot)
@@ -246,11 +248,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def _drives(self, command: tuple[float, ...]) -> None:
         """Note a command that has just been sent."""
-        takes = self.robot.commands.measured(
-            full=RecordSettings.full_speed, track=RecordSettings.track
-        )
-        if takes.moves_as_known:
-            self._reckoning.sent(self.robot.clock.now(), takes.twist(command))
+        if self._takes.moves_as_known:
+            self._reckoning.sent(self.robot.clock.now(), self._takes.twist(command))
 
     def _flash(self, lamp: Lamp) -> list[tuple[float, float]]:
         clock = self.robot.clock

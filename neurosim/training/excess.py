@@ -15,15 +15,15 @@ from torch import Tensor
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.noise import residual
+from neurosim.training.trainers.windows import LENGTHS, OVERLAP
 
 #: A speed is measured over this time, or a little more, up to a limit, s.
 BEFORE, LATEST = 0.1, 0.3
 #: The gains and time constants (s) that are tried.
 GAINS = (0.25, 0.5, 0.75, 1.0)
 LASTS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-#: Lengths of the predictions, s; by which fraction of it one may be longer; and the number of
-#: predictions that begin within the length of one.
-LENGTHS, LONGER, OVERLAP = (0.25, 0.5, 1.0, 2.0), 0.25, 4
+#: By which fraction of its length a prediction may be longer.
+LONGER = 0.25
 #: Smallest number of separate predictions of a length.
 _FEW = 5
 #: A measurement counts if it lessens errors by this fraction, and by this many standard errors.
@@ -74,9 +74,9 @@ def _windows(
     some &= (time[until] - time > length - 1e-3) & (time[until] - time < length * (1.0 + LONGER))
     # At most a certain number begin within the length of one.
     place = (time[some] * OVERLAP / length).floor()
-    some[some.clone()] = torch.cat([place.new_ones(1, dtype=torch.bool), place.diff() > 0])[
-        : len(place)
-    ]
+    first = torch.ones_like(place, dtype=torch.bool)
+    first[1:] = place.diff() > 0
+    some[some.clone()] = first
     since, now, until = since[some], now[some], until[some]
 
     def error(begin: Tensor, end: Tensor) -> Tensor:

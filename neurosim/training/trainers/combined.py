@@ -190,12 +190,16 @@ class _Instants(NamedTuple):
         since: time since the row's beginning, s.
         moved: displacement since then, [K, 3].
         ends: number of the instant at which each row ends, [N].
+        time: since the log's beginning, without its gaps, s.
+        drive: number of the drive in which each is.
     """
 
     row: Tensor
     since: Tensor
     moved: Tensor
     ends: Tensor
+    time: Tensor
+    drive: Tensor
 
 
 class CombinedTrainer:
@@ -537,9 +541,9 @@ class CombinedTrainer:
         return se2.compose(changing, se2.exp(twist))
 
     def _instants(self) -> _Instants | None:
-        """Return when a robot was seen in a log; None: its rows are commands of their own."""
+        """Return when a robot was seen in a log, to learn its excess; None: it has none."""
         joined, within, y = self._data.joined, self._data.within, self._data.y
-        if joined is None:
+        if joined is None or "excess" in self._settings.without:
             return None
         lasts = self._data.x[:, self._columns.duration]
         first, whole = torch.nonzero(~joined).squeeze(1), torch.arange(len(y))
@@ -550,7 +554,9 @@ class CombinedTrainer:
             moved = torch.cat([moved, within.moved])
         order = torch.from_numpy(np.lexsort((since.numpy(), row.numpy())))
         ends = torch.searchsorted(row[order], whole, right=True) - 1
-        return _Instants(row[order], since[order], moved[order], ends)
+        row, since = row[order], since[order]
+        time, drive = (lasts.cumsum(0) - lasts)[row] + since, (~joined).cumsum(0)[row]
+        return _Instants(row, since, moved[order], ends, time, drive)
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
         """Return the weight of the process for each output, [3].
@@ -707,7 +713,9 @@ class CombinedTrainer:
         known = self._instants()
         mean = self._of_others(unseen[:whole], row // block % PARTS, known)
         if known is not None:
-            self._excess = self._fit_excess(known, mean)
+            moves = (mean, known.moved)
+            paths = (se2.compose(se2.path(one[known.ends])[known.row], one) for one in moves)
+            self._excess = fit_excess(known.time, *paths, known.drive)
             mean = mean[known.ends]
 
         def summed(values: Tensor) -> Tensor:
@@ -727,19 +735,6 @@ class CombinedTrainer:
         sums = torch.stack(own), summed(differs)
         of_noise, of_members = fit_spread(error, *sums, stride * windows.weight)
         return of_noise, of_members.roll(-1).unsqueeze(1)
-
-    def _fit_excess(self, known: _Instants, predicted: Tensor) -> Excess | None:
-        """Learn how a speed that is measured counts in a log; see :func:`fit_excess`."""
-        joined = self._data.joined
-        if joined is None or "excess" in self._settings.without:
-            return None
-        lasts = self._data.x[:, self._columns.duration]
-        paths = [
-            se2.compose(se2.path(moved[known.ends])[known.row], moved)
-            for moved in (predicted, known.moved)
-        ]
-        time = (lasts.cumsum(0) - lasts)[known.row] + known.since
-        return fit_excess(time, *paths, (~joined).cumsum(0)[known.row])
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).

@@ -391,7 +391,8 @@ class Chains:
                 0, row, values
             )
 
-        distance, heading = until(by_row(features)), until(self.y[:, 2])
+        path = se2.path(self.y)
+        distance, heading = until(by_row(features)), path[:, 2]
         turn = heading[end] - heading[first]
         of_turn, of_shift = terms_near_zero(self.commanded.shape[1], width, self.steered)
         rate, turns_left = _regression(distance[end] - distance[first], turn, of_turn, windows)
@@ -407,9 +408,8 @@ class Chains:
             (chord * middle.sin())[:, None] * features,
         )
         x, y = until(by_row(x)), until(by_row(y))
-        place = until(se2.rotate(heading[:-1], self.y[:, :2]))
         back = -(heading[first] + heading[end]) / 2.0
-        moved = se2.rotate(back, place[end] - place[first])
+        moved = se2.rotate(back, path[end, :2] - path[first, :2])
         x, y = x[end] - x[first], y[end] - y[first]
         cos, sin = back.cos()[:, None], back.sin()[:, None]
         x, y = cos * x - sin * y, sin * x + cos * y
