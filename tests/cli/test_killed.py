@@ -23,6 +23,9 @@ pytestmark = [
 #: How often each command is killed.
 KILLS = int(os.environ.get("NEUROSIM_KILLS", "2"))
 
+#: How many more kills may be tried, until one falls between the first file and the end.
+MORE_KILLS = 8
+
 
 def run(folder, *words, after=None):
     """Run a command in a folder, killed after some seconds; return exit code and seconds."""
@@ -58,7 +61,9 @@ def whole_lines(folder, name):
 def killed(tmp_path, words, logs, rest_of, seed):
     """Kill a command at random moments, continue each, and compare its logs with a whole run's.
 
-    The moments are one in each of equal parts of its time.
+    The moments are one in each of equal parts of its time. If none of them fell between the first
+    file and the end, as where the whole run was slower than those after it, more moments are
+    drawn between those that were too early and those that were too late.
 
     The rows written before a kill are the first rows of the whole run, and are kept.
 
@@ -76,22 +81,35 @@ def killed(tmp_path, words, logs, rest_of, seed):
     """
     whole = tmp_path / "whole"
     _, seconds = run(whole, *words, "out")
-    rests = []
-    fractions = np.random.default_rng(seed).uniform(size=KILLS)
-    for number, after in enumerate(seconds * (np.arange(KILLS) + fractions) / KILLS):
+    generator = np.random.default_rng(seed)
+    moments = list(seconds * (np.arange(KILLS) + generator.uniform(size=KILLS)) / KILLS)
+    early, late, amid = 0.0, seconds, 0
+    for number in range(KILLS + MORE_KILLS):
+        if number >= KILLS:
+            if amid:
+                break
+            moments.append(generator.uniform(early, late))
+        after = moments[number]
         folder = tmp_path / str(number)
-        code, _ = run(folder, *words, "out", after=after)
+        code, taken = run(folder, *words, "out", after=after)
         if code == 0:
+            late = min(late, taken)
             continue
         then = {name: whole_lines(folder, name) for name in logs}
-        rests.append(rest_of(folder / "out"))
-        if rests[-1]:
-            run(folder, *words, *rests[-1])
+        rest = rest_of(folder / "out")
+        if rest is None:
+            late = min(late, after)
+        elif rest == ["out"]:
+            early = max(early, after)
+        else:
+            amid += 1
+        if rest:
+            run(folder, *words, *rest)
         for name, lines in then.items():
             for one in (whole, folder):
                 assert whole_lines(one, name)[: len(lines)] == lines, (one, name, after)
         yield whole, folder, after
-    assert any(rest and rest != ["out"] for rest in rests) or KILLS < 2
+    assert amid
 
 
 def resumed(made):
