@@ -30,7 +30,7 @@ from neurosim.base import se2
 Array = NDArray[np.float64]
 
 #: Lags and delays that the lagged models are tried with, s.
-LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
+LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2, 2.4, 4.8)
 DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
 #: Windows that fit the lengths of the Gaussian process, and windows that it uses.
 FITTED_ON, USED = 150, 500

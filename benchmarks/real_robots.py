@@ -64,10 +64,11 @@ OUTPUTS = ("dx", "dy", "dtheta")
 READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
 #: Fraction of a log, last in time, that is held out, and how long windows are, s.
 HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
-#: Peers get commands in steps of this, s, ours in parts of it (a simulator knows when each was
-#: given), both from this long before a window on. Windows begin this often in the earlier rows, and
-#: in the held-out ones; and the largest number of windows.
-STEP, FINE, WARM, EVERY, APART, MOST, JUDGED = 0.05, 4, 8.0, 0.1, 0.25, 1200, 300
+#: Peers get commands in steps of this, s, from this long before a window on; ours gets those of
+#: the log, from its beginning to the window, and then in parts of a step, because a simulator knows
+#: when each was given. Windows begin this often in the earlier rows, and in the held-out ones; and
+#: the largest number of windows.
+STEP, FINE, WARM, EVERY, APART, MOST, JUDGED = 0.05, 4, 20.0, 0.1, 0.25, 1200, 300
 #: Turns in which the drives of a robot that has few are held out, so that all are judged.
 FOLDS = 4
 #: A speed before a window is measured over this time, s.
@@ -95,12 +96,16 @@ class Cut(NamedTuple):
     """Windows of one length.
 
     Attributes:
+        log: index of its log, [W].
+        begin: when it begins, [W] s.
         commands: in steps, from :data:`WARM` before the window to its end, [W, K, C].
-        fine: the same in shorter steps, [W, FINE K, C].
+        fine: of the window in shorter steps, [W, FINE K, C].
         moved: displacement, [W, 3] m, m, rad.
         speed: measured before the window, [W, 3] m/s, m/s, rad/s; NaN where it is not known.
     """
 
+    log: Array
+    begin: Array
     commands: Array
     fine: Array
     moved: Array
@@ -237,8 +242,8 @@ def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -
     """Return windows of a length (s) that begin at this interval (s), ``most`` at most."""
     results: list[tuple[Array, ...]] = []
     first, last = -round(WARM / STEP), round(length / STEP)
-    offsets = [(np.arange(n * first, n * last) + 0.5) * STEP / n for n in (1, FINE)]
-    for log, start in logs:
+    offsets = (np.arange(first, last) + 0.5) * STEP, (np.arange(FINE * last) + 0.5) * STEP / FINE
+    for number, (log, start) in enumerate(logs):
         for begin in np.arange(
             max(start, log.pose_time[0]), log.pose_time[-1] - length + 1e-6, every
         ):
@@ -249,7 +254,7 @@ def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -
             ends = log.pose_at(np.array([begin - BEFORE, begin, begin + length]))
             known = begin - BEFORE >= log.pose_time[0]
             speed = se2.between(ends[0], ends[1]) / BEFORE if known else np.full(3, np.nan)
-            results.append((*given, se2.between(ends[1], ends[2]), speed))
+            results.append((number, begin, *given, se2.between(ends[1], ends[2]), speed))
     results = results[:: -(-len(results) // most)]
     return Cut(*(np.array(part) for part in zip(*results, strict=True)))
 
@@ -282,32 +287,62 @@ def data_of(robot: Robot) -> TrainingData:
     return training_data(rows)
 
 
+def at(simulator: MotionNetwork, log: Log, times: Array) -> Array:
+    """Return the states [T, S] at ascending times (s), by the commands of a log until then.
+
+    The first one is taken to have been given :data:`WARM` before, to a robot that stood.
+    """
+    stepper, states = simulator.stepper(), []
+    state, now = stepper.start(np.zeros((1, 3))), float(log.time[0]) - WARM
+    fresh = np.append(True, (np.diff(log.commands, axis=0) != 0).any(1))
+    changes, commands = log.time[fresh], log.commands[fresh]
+    place = 0
+    for until in times:
+        while now < until - 1e-9:
+            while place + 1 < len(changes) and changes[place + 1] <= now + 1e-9:
+                place += 1
+            then = min(until, changes[place + 1]) if place + 1 < len(changes) else until
+            state = stepper.step(state, np.append(commands[place], then - now)[None], None)
+            now = then
+        states.append(state[0])
+    return np.array(states)
+
+
 def samples(
-    simulator: MotionNetwork, windows: Cut, draws: int, seed: int, speeds: bool = False
+    simulator: MotionNetwork,
+    logs: list[tuple[Log, float]],
+    windows: Cut,
+    draws: int,
+    seed: int,
+    speeds: bool = False,
 ) -> tuple[Array, Array]:
-    """Return predicted displacements [W, 3] of windows, and samples of them, [D, W, 3].
+    """Return predicted displacements [W, 3] of windows of logs, and samples of them, [D, W, 3].
 
     With ``speeds`` the simulator gets the speed that was measured before the window.
     """
     stepper, rng = simulator.stepper(), np.random.default_rng(seed)
-    warm, count = FINE * round(WARM / STEP), len(windows.moved)
-    lasts = np.full((count, windows.fine.shape[1], 1), STEP / FINE)
-    commands = np.concatenate([windows.fine, lasts], 2)
-    state = before = stepper.start(np.zeros((count, 3)))
-    for k in range(warm):
-        before = state if k == warm - round(FINE * BEFORE / STEP) else before
-        state = stepper.step(state, commands[:, k], None)
+    count = len(windows.moved)
+    state = np.zeros((2, count, len(simulator.state_names)))
+    for number in np.unique(windows.log):
+        own = windows.log == number
+        times = windows.begin[own] - [[BEFORE], [0.0]]
+        order = np.argsort(times, axis=None)
+        through = at(simulator, logs[number][0], times.flat[order])
+        state[:, own] = through[np.argsort(order)].reshape(2, own.sum(), -1)
+    before, state = state
     if speeds:
         state = simulator.seen(state, before, BEFORE * windows.speed, BEFORE)
     state = simulator.over(state)  # the noise begins with the window
     begun, sampled = state[:, :3], np.tile(state, (draws, 1))
     if simulator.members > 1:
         sampled[:, -1] = rng.integers(simulator.members, size=len(sampled))
-    for k in range(warm, commands.shape[1]):
-        state = stepper.step(state, commands[:, k], None)
+    lasts = np.full((count, 1), STEP / FINE)
+    for commanded in np.moveaxis(windows.fine, 1, 0):
+        command = np.concatenate([commanded, lasts], 1)
+        state = stepper.step(state, command, None)
         if draws:
             z = rng.standard_normal((len(sampled), simulator.noise_width), np.float32)
-            sampled = stepper.step(sampled, np.tile(commands[:, k], (draws, 1)), z)
+            sampled = stepper.step(sampled, np.tile(command, (draws, 1)), z)
     ends = sampled[:, :3].reshape(draws, count, 3)
     return se2.between(begun, state[:, :3]), se2.between(begun, ends)
 
@@ -439,13 +474,14 @@ def main() -> None:
             for length in lengths_of(robot):
                 judged = cut(robot.held_out, length, APART, JUDGED)
                 draws = DRAWS // 4 if options.quick else DRAWS
-                mean, sampled = samples(simulator, judged, draws, options.seed)
+                given = simulator, robot.held_out, judged
+                mean, sampled = samples(*given, draws, options.seed)
                 part["ours"][f"{length:g}"] = {
                     "windows": len(judged.moved),
                     "error": off(mean, judged),
                     "coverage": held(sampled, judged),
                     "error, speed known": off(
-                        samples(simulator, judged, 0, options.seed, speeds=True)[0], judged
+                        samples(*given, 0, options.seed, speeds=True)[0], judged
                     ),
                 }
             parts.append(part)

@@ -141,7 +141,7 @@ def of_log(name: str, count: int, seed: int, without: tuple[str, ...] = ()) -> d
     fractions = []
     for length in logs.lengths_of(robot):
         windows = logs.cut(robot.held_out, length, logs.APART, WINDOWS)
-        sampled = logs.samples(simulator, windows, OF_WINDOWS, seed)[1]
+        sampled = logs.samples(simulator, robot.held_out, windows, OF_WINDOWS, seed)[1]
         fractions.append(_fractions(central(sampled, windows.moved).T))
     return {"windows": np.mean(fractions, axis=0).tolist()}
 
