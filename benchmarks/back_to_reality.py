@@ -40,6 +40,7 @@ from neurosim.evolution.cma import CMA
 from neurosim.evolution.policy_gradient import PolicyGradient, PolicySettings
 from neurosim.evolution.space import SearchSpace
 from neurosim.lab.walker import FLOORS, VirtualWalker
+from neurosim.simulators.legged.build import Build, ServoBuild
 from neurosim.simulators.legged.simulator import LeggedSimulator
 from neurosim.tasks.walking import Walking
 
@@ -51,8 +52,12 @@ PAPER = 2.47
 #: Gaits that L3 is judged on: those of its trials, the next round's, and the best one's neighbours.
 GROUPS = ("compared", "held_out", "neighbours")
 BETTER = "back to reality, better choices"
+#: Methods whose simulator has the properties of servos; in the first one the robot is filmed.
+FILMED = "servos, filmed"
+SERVOS = (FILMED, "servos, without L3")
 #: Methods that are compared with all others.
 LEARNERS = (
+    FILMED,
     BETTER,
     "the same with L3",
     "back to reality, as in the paper",
@@ -66,7 +71,7 @@ class Remembering(Simulated):
     ``tried`` counts all requested trials.
     """
 
-    _known: ClassVar[dict[bytes, float]] = {}
+    _known: ClassVar[dict[bytes, float]] = {}  # parameters' number differs between builds
 
     @classmethod
     def forget(cls) -> None:
@@ -86,12 +91,14 @@ class Remembering(Simulated):
 
 
 class Job:
-    """A run of a method: where it walks, its seed, its budget."""
+    """A run of a method: where it walks, its seed, its budget, and whether it is filmed."""
 
-    def __init__(self, floor: str, seed: int, size: dict[str, Any], folder: Path):
+    def __init__(self, method: str, floor: str, seed: int, size: dict[str, Any], folder: Path):
         self.seed, self.size, self.budget = seed, size, size["budget"]
-        self.simulated = Remembering(LeggedSimulator(), Walking(size["seconds"]), Gait())
-        self.trials = Journal(VirtualWalker(Gait(), floor, seed), folder / "trials.jsonl")
+        task, build = Walking(size["seconds"]), ServoBuild() if method in SERVOS else Build()
+        self.simulated = Remembering(LeggedSimulator(build), task, Gait())
+        walker = VirtualWalker(Gait(), floor, seed, task, "lab" if method == FILMED else None)
+        self.trials = Journal(walker, folder / "trials.jsonl")
 
     def alternate(self, settings: str, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
         """Run the alternation."""
@@ -172,6 +179,8 @@ def randomised_then_cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
 
 METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {
     BETTER: lambda job: job.alternate("better"),
+    FILMED: lambda job: job.alternate("better"),
+    "servos, without L3": lambda job: job.alternate("better"),
     "the same with L3": lambda job: job.alternate("better", compare="recent"),
     "CMA-ES from the hand-tuned gait": cma,
     "domain randomisation, then CMA-ES": randomised_then_cma,
@@ -205,7 +214,7 @@ def changed(texts: list[str]) -> dict[str, Any]:
 def run(method: str, floor: str, seed: int, size: dict[str, Any]) -> dict[str, Any]:
     """Run a method, and measure the gaits that it held to be best."""
     with tempfile.TemporaryDirectory() as folder:
-        job = Job(floor, seed, size, Path(folder))
+        job = Job(method, floor, seed, size, Path(folder))
         order, about = METHODS[method](job)
         again = VirtualWalker(Gait(), floor, 10_000 + seed)
         numbers = np.arange(AGAIN) * 13

@@ -16,6 +16,9 @@ from tracking.markers.pair import Geometry
 from tracking.markers.sought import sought
 from tracking.markers.tags import SMALLEST_CELL, Tag
 
+#: Longest time between two sightings that poses are interpolated over, s.
+GAP = 0.2
+
 
 def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
     """Return the tracker's geometry from recording.json's ``markers`` and a camera."""
@@ -82,6 +85,31 @@ def marker_poses(
     return np.stack(
         [middle[:, 0] - cos * x + sin * y, middle[:, 1] - sin * x - cos * y, theta], axis=-1
     )
+
+
+def between(moments: NDArray, poses: NDArray, times: NDArray) -> NDArray:
+    """Return poses [T, 3] at times [T], interpolated between sightings.
+
+    Args:
+        moments: of the sightings, ascending, [N] s.
+        poses: seen then, [N, 3]; NaN: not seen.
+        times: s, of the same clock.
+
+    Returns:
+        NaN before the first sighting, after the last one, and in gaps of more than :data:`GAP`.
+    """
+    seen = np.isfinite(poses).all(axis=1)
+    result = np.full((len(times), 3), np.nan)
+    if not seen.any():
+        return result
+    moments, poses = moments[seen], poses[seen]
+    after = np.searchsorted(moments, times)
+    inside = (times >= moments[0]) & (times <= moments[-1])
+    after = np.clip(after, 1, len(moments) - 1) if len(moments) > 1 else after * 0
+    inside &= moments[after] - moments[after - 1] <= GAP
+    columns = [np.interp(times, moments, column) for column in poses.T]
+    result[inside] = np.stack(columns, axis=-1)[inside]
+    return result
 
 
 def unwrap(angles: NDArray) -> NDArray:

@@ -2,7 +2,9 @@
 
 Zagal et al. 2004, section 5.3: ten individuals with similar fitness in reality and in the
 simulator are compared; the search minimises the norm of the ten differences. Where reality tracked
-some, their poses are compared instead, which say more than one number a trial.
+some, their paths are compared instead, which say more than one number a trial: displacements in the
+robot's frame, so that an early difference does not count again and again, and a mean over robots
+rather than a sum of squares, because some gaits are unpredictable.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ APART = 0.05
 SPREAD = 0.2
 #: Where poses are compared, metres that count as much as a radian of heading.
 HEADING_LENGTH = 0.3
-#: Distance from reality of a missing simulated pose (the robot fell, or numbers blew up), m.
-NOWHERE = 10.0
+#: Displacements that are compared: over this time, or a step if that is longer, and over as many
+#: times as long; s. And the number of them that begin within the shorter one.
+WINDOW, LONGER, OVERLAP = 0.25, 4, 8
 
 
 def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -32,16 +35,41 @@ def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> ND
     return np.linalg.norm(simulated - real, axis=-1)
 
 
-def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> float:
-    """Return the root mean square distance (m) of poses [..., 3] where reality's are finite.
+def paths_apart(
+    simulated: NDArray[np.float64], real: NDArray[np.float64], window: int = 1
+) -> float:
+    """Return how far a simulated path is from real ones of the same controller, m in a window.
 
-    A pose of the simulator that is not finite counts as :data:`NOWHERE`.
+    It is the root mean square of differences of displacements, over windows and over
+    :data:`LONGER` times as long ones, divided by that. A robot that has no pose until the end has
+    fallen or was stopped, and stands from then on. Headings count by :data:`HEADING_LENGTH`.
+
+    Args:
+        simulated: poses of a path after each step, first that at the start, [K + 1, 3].
+        real: those of R paths, [R, K + 1, 3]; NaN: not seen.
+        window: number of steps of a window.
     """
-    apart = simulated - real
-    turn = HEADING_LENGTH * se2.wrapped(apart[..., 2])
-    square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + turn**2
-    square = square[np.isfinite(real).all(axis=-1)]
-    return float(np.sqrt(np.where(np.isfinite(square), square, NOWHERE**2).mean()))
+    simulated, real = _standing(simulated[None]), _standing(real)
+    total = []
+    for span in {min(window, len(simulated[0]) - 1), min(LONGER * window, len(simulated[0]) - 1)}:
+        first = np.arange(0, simulated.shape[1] - span, max(window // OVERLAP, 1))
+        moved = [se2.between(path[:, first], path[:, first + span]) for path in (simulated, real)]
+        apart = moved[0] - moved[1]
+        turn = HEADING_LENGTH * se2.wrapped(apart[..., 2])
+        square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + turn**2
+        known = square[np.isfinite(square)]
+        if len(known):
+            total.append(np.sqrt(known.mean()) * window / span)
+    return float(np.mean(total))
+
+
+def _standing(paths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return paths [R, K, 3] whose last pose remains until the end."""
+    seen = np.asarray(np.isfinite(paths).all(axis=-1))
+    last = paths.shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
+    after = np.arange(paths.shape[1]) > last[:, None]
+    rest = np.take_along_axis(paths, last[:, None, None], axis=1)
+    return np.where(after[..., None], rest, paths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,23 +80,33 @@ class Compared:
         simulated: the simulator.
         genes: [P, G] of them.
         fitness: [P] in reality.
-        poses: [P, K, 3] in reality, NaN where not seen; None if none was tracked.
+        poses: of each, [R, K, 3] in its R tracked trials, NaN where not seen; None: only the
+            fitness is compared.
     """
 
     simulated: Simulated
     genes: NDArray[np.float64]
     fitness: NDArray[np.float64]
-    poses: NDArray[np.float64] | None = None
+    poses: list[NDArray[np.float64]] | None = None
 
     def discrepancy(self, sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the difference from reality of the simulator with sets [S, K], [S].
 
-        It is in metres where poses are compared.
+        Where paths are compared, it is the mean of :func:`paths_apart`.
         """
         if self.poses is None:
             return discrepancy(self.simulated.over(self.genes, sets), self.fitness)
-        each = [self.simulated.poses(self.genes, one) for one in sets]
-        return np.array([poses_apart(one, self.poses) for one in each])
+        seen = [paths[np.isfinite(paths).any(axis=(1, 2))] for paths in self.poses]
+        tracked = [place for place, paths in enumerate(seen) if len(paths)]
+        window, result = self.simulated.steps_in(WINDOW), []
+        for one in sets:
+            paths, each = self.simulated.poses(self.genes[tracked], one), []
+            for path, place in zip(paths, tracked, strict=True):
+                start = np.broadcast_to(path[0], (len(seen[place]), 1, 3))
+                real = np.concatenate([start, seen[place]], axis=1)
+                each.append(paths_apart(path, real, window))
+            result.append(np.mean(each))
+        return np.array(result)
 
 
 def similar(
@@ -119,7 +157,7 @@ def agreement(
     Returns:
         ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their
         ``rms`` and ``median`` (absolute), and the ``rank`` correlation (Spearman; None where all
-        are equal); ``poses`` (m, root mean square) where they were tracked.
+        are equal); ``poses`` (m, of :func:`paths_apart`) where they were tracked.
     """
     real = compared.fitness
     result: dict[str, Any] = {"individuals": len(real)}

@@ -346,7 +346,7 @@ class Alternation:
     def _compared(self, genes: NDArray[np.float64], real: NDArray[np.float64]) -> Compared:
         return Compared(self._simulated, genes, real, self._poses(genes))
 
-    def _poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _poses(self, genes: NDArray[np.float64]) -> list[NDArray[np.float64]] | None:
         return self._journal.poses(self._simulated.real_genes(genes))
 
     def _named(self, fractions: NDArray[np.float64]) -> dict[str, float]:

@@ -96,19 +96,26 @@ class Simulated:
             finite &= np.isfinite(trajectory.poses).all(axis=(1, 2, 3))
         return np.where(finite, fitness, fitness[finite].min(initial=0.0))
 
+    def steps_in(self, seconds: float) -> int:
+        """Return the number of steps in a time, at least 1; the commands of a plan are steps."""
+        if self._controller.open_loop:
+            return 1
+        return max(round(seconds / self._task.episode.step), 1)
+
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the expected poses of individuals [P, G] after each step, [P, K, 3].
+        """Return the expected poses of individuals [P, G], [P, K + 1, 3].
 
-        From the task's first start, with one set of parameters [K], without noise.
+        At the task's first start and after each of K steps, with one set of parameters, without
+        noise.
         """
         evaluator = self._evaluator(parameters)
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
             poses = evaluator.run(self.real_genes(genes), evaluator.expectation()).poses
         assert poses is not None
-        return np.array(poses[:, 0, 1:])
+        return np.array(poses[:, 0])
 
     def over(self, genes: NDArray[np.float64], sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness [S, P] of individuals [P, G] with sets of parameters [S, K]."""

@@ -1571,5 +1571,5 @@ class Legged(Simulator, kw_only=True):
         parameters: parameters of the robot and of the floor.
     """
 
-    robot: Literal["walker", "quadratot"] = "walker"
+    robot: Literal["walker", "walker-with-servos", "quadratot"] = "walker"
     parameters: dict[str, Any]

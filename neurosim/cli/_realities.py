@@ -71,7 +71,10 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
             calibration_option("The calibration.json of --camera."),
             click.option(
                 "--camera",
-                help=("Camera above a real robot: a number, a file, or a URL that OpenCV opens."),
+                help=(
+                    "Camera above a real robot: a number, a file, or a URL that OpenCV opens; lab "
+                    "for the virtual walker's."
+                ),
             ),
             choice_options(
                 "--reality",
@@ -81,7 +84,7 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
                     f"{help} virtual-*: of the lab. by-hand: a person types the fitness. Others: a "
                     "real robot by its driver."
                 ),
-                skip=("controller", "task", "simulator"),  # the command gives it
+                skip=("controller", "task", "simulator", "camera"),  # the command gives it
                 outside=_may_be_real,
             ),
         ):

@@ -67,7 +67,10 @@ def _settings(chosen: Chosen) -> Any:
 @click.option(
     "--simulator",
     type=PATH,
-    help="A simulator with adjustable parameters.  [default: the walking robot's]",
+    help=(
+        "A simulator with adjustable parameters.  [default: the walking robot's; with the "
+        "paper's settings, that of the paper]"
+    ),
 )
 @task_option("walking", "The task.")
 @controller_option("gait", "The kind of controller.")
@@ -142,10 +145,14 @@ def back_to_reality(
     from neurosim.back_to_reality.run import start_genes
     from neurosim.back_to_reality.settings import settings_named
     from neurosim.simulators import read_simulator
+    from neurosim.simulators.legged.build import Build, ServoBuild
     from neurosim.simulators.legged.simulator import LeggedSimulator
     from neurosim.trials.realities import open_reality
 
-    model = LeggedSimulator() if simulator is None else read_simulator(simulator)
+    if simulator is None:
+        model = LeggedSimulator(Build() if settings == "paper" else ServoBuild())
+    else:
+        model = read_simulator(simulator)
     made, family = make_both(model, task, task_options, controller, controller_options)
     chosen = settings_named(settings)
     chosen = replace(

@@ -167,12 +167,12 @@ class Journal:
         each = [self._known[row.tobytes()][:wanted] for row in genes]
         return np.array([[trial.fitness for trial in trials] for trials in each])
 
-    def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the poses [P, K, 3] of individuals [P, G] that were tried.
+    def poses(self, genes: NDArray[np.float64]) -> list[NDArray[np.float64]] | None:
+        """Return the poses [R, K, 3] in the R tracked trials of each of individuals [P, G].
 
-        They are means over the trials that the run has used so far, not over further ones in the
-        file: an interruption changes nothing. NaN if a pose was not seen in any of them; None
-            if no pose was seen at all.
+        These are the trials that the run has used so far, not further ones in the file: an
+        interruption changes nothing. NaN where a pose was not seen; None if no pose was seen at
+        all.
         """
         each = []
         for row in genes:
@@ -180,11 +180,9 @@ class Journal:
             used = self._known.get(key, [])[: self._taken.get(key, 0)]
             each.append([trial.poses for trial in used if trial.poses is not None])
         seen = [poses for trials in each for poses in trials]
-        if not seen:
+        if not any(np.isfinite(poses).any() for poses in seen):
             return None
-        unseen = np.full_like(seen[0], np.nan)
-        means = np.stack([_mean_pose(np.stack(trials or [unseen])) for trials in each])
-        return means if np.isfinite(means).any() else None
+        return [np.array(trials).reshape(-1, *seen[0].shape) for trials in each]
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
         together = hasattr(self._reality, "trials") and self._instruction is None
@@ -324,17 +322,6 @@ def _poses(answer: Any) -> NDArray[np.float64] | None:
     if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
         return None
     return np.where(np.isfinite(poses).all(axis=1, keepdims=True), poses, np.nan)
-
-
-def _mean_pose(poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean [K, 3] of poses [N, K, 3] of :func:`_poses`; headings as directions."""
-    seen = np.isfinite(poses[..., 0])
-    given = np.where(seen[..., None], poses, 0.0)
-    with np.errstate(invalid="ignore"):
-        mean: NDArray[np.float64] = given.sum(axis=0) / seen.sum(axis=0)[:, None]
-    east, north = (np.where(seen, f(given[..., 2]), 0.0).sum(axis=0) for f in (np.cos, np.sin))
-    mean[:, 2] = np.where(seen.any(axis=0), np.arctan2(north, east), np.nan)
-    return mean
 
 
 def _checked(row: dict[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], _Trial]:

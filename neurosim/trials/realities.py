@@ -15,8 +15,9 @@ from neurosim.robots.registry import ROBOTS
 from neurosim.simulators.base import Simulator
 from neurosim.trials.filmed import on_robot
 
-#: Functions by name that take a controller and options as keywords, and the task and the simulator
-#: if they have parameters of these names; they return a reality, or a context that gives one.
+#: Functions by name that take a controller and options as keywords, and the task, the simulator,
+#: the camera and its calibration if they have parameters of these names; they return a reality, or
+#: a context that gives one.
 REALITIES = Registry(
     "reality",
     "neurosim.realities",
@@ -69,7 +70,8 @@ def make_reality(
         controller: the controller of the genes.
         task: the task.
         simulator: the simulator that is compared with it.
-        camera, calibration: the camera of a robot that is named by its driver.
+        camera, calibration: of a robot that is named by its driver, or of a reality that takes
+            them.
         options: of the reality.
 
     Raises:
@@ -80,10 +82,12 @@ def make_reality(
     if name in ROBOTS.names() and name not in REALITIES.names():
         robot = ROBOTS.make(name, options)
         return on_robot(robot, **given, camera=camera, calibration=calibration)
-    if camera is not None or calibration is not None:
-        raise UserError(f"the reality {name} needs no camera: leave out camera and calibration")
     maker = REALITIES.get(name)
     takes = inspect.signature(maker).parameters if callable(maker) else {}
+    for option, value in (("camera", camera), ("calibration", calibration)):
+        if value is not None and option not in takes:
+            raise UserError(f"the reality {name} needs no {option}: leave it out")
+        given[option] = value
     given = {key: value for key, value in given.items() if key == "controller" or key in takes}
     reality = REALITIES.make(name, {**given, **options})
     if not isinstance(reality, Reality | AbstractContextManager):

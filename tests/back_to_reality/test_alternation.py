@@ -18,12 +18,11 @@ from neurosim.back_to_reality import (
 )
 from neurosim.back_to_reality.adapt import (
     HEADING_LENGTH,
-    NOWHERE,
     Compared,
     agreement,
     discrepancy,
     kept_sets,
-    poses_apart,
+    paths_apart,
     similar,
 )
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
@@ -81,15 +80,35 @@ def test_agreement_by_hand():
     assert "poses" not in result["after"]
 
 
-def test_poses_apart_by_hand():
-    real = np.array([[0.0, 0.0, 0.1], [1.0, 1.0, 6.2], [np.nan] * 3])
-    near = np.array([[0.3, 0.4, 0.1], [1.0, 1.0, 6.2 - 2 * np.pi + 1.0], [9.0, 9.0, 9.0]])
-    # 0.5 m of the first, a radian of the second, and the third was not seen.
-    assert poses_apart(near, real) == pytest.approx(((0.25 + HEADING_LENGTH**2) / 2) ** 0.5)
-    assert poses_apart(np.full((3, 3), np.nan), real) == NOWHERE
-    # A missing pose weighs as much as one that is far away, and the others still count.
-    fell = np.array([[0.3, 0.4, 0.1], [np.nan] * 3, [np.nan] * 3])
-    assert poses_apart(fell, real) == pytest.approx(((0.25 + NOWHERE**2) / 2) ** 0.5)
+def path(*poses):
+    return np.array(poses, float)
+
+
+def test_paths_apart_by_hand():
+    """Displacements of one step: 0.5 m apart, then a radian; of all two: 0.5 m and a radian."""
+    nowhere = [np.nan] * 3
+    real = path((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 6.2))
+    near = path((0.0, 0.0, 0.0), (1.3, 0.4, 0.0), (2.3, 0.4, 6.2 - 2 * np.pi + 1.0))
+    radian = HEADING_LENGTH**2
+    one, two = ((0.25 + radian) / 2) ** 0.5, (0.25 + radian) ** 0.5
+    assert paths_apart(near, real[None]) == pytest.approx((one + two / 2) / 2)
+    assert paths_apart(real, np.stack([real, real])) == 0.0
+    # Where it was not seen for a while nothing is compared but what is known on both sides.
+    gap = path(real[0], nowhere, real[2])
+    assert paths_apart(near, gap[None]) == pytest.approx(two / 2)
+    # A robot that fell stands, whether in reality or in the simulator.
+    fell = path(real[0], real[1], nowhere)
+    stood = path(real[0], real[1], real[1])
+    assert paths_apart(near, fell[None]) == paths_apart(near, stood[None])
+    assert paths_apart(fell, near[None]) == paths_apart(stood, near[None])
+    assert paths_apart(fell, fell[None]) == 0.0
+
+
+def test_windows_of_paths_count_by_their_length():
+    """Twice the speed: 1 m in windows of 10 steps, and 4 m, divided by four, in those of 40."""
+    slow = np.zeros((101, 3))
+    slow[:, 0] = 0.1 * np.arange(101)
+    assert paths_apart(slow * [2.0, 1.0, 1.0], slow[None], 10) == pytest.approx(1.0)
 
 
 class Remembering(Simulated):

@@ -193,4 +193,4 @@ def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch
     assert (result["transfer"], len(result["best"]), result["runs"]) == (1, 2, 1)
     assert not (tmp_path / "plan.checkpoint").exists()
     code, _, message = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
-    assert "the reality virtual-nxt needs no camera" in message
+    assert "the reality virtual-nxt needs no camera: leave it out" in message

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.controllers import Network
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
-from neurosim.robots.quadruped import standing
 
 pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
 from neurosim.lab.walker import FLOORS, VirtualWalker
-from neurosim.lab.walker.robot import RADIUS, servo
+from neurosim.lab.walker.film import film
+from neurosim.lab.walker.robot import RADIUS
+from neurosim.tasks.walking import Walking
 
 HAND = genes_of(HAND_TUNED)
 
@@ -42,19 +44,12 @@ def test_a_gait_that_stays_where_it_is_fails(walker):
     assert walker.trial(still, 0) == 0.0
 
 
-def test_servos_lag_and_have_a_greatest_speed():
-    """They move half of the remaining angle in a frame, 0.1 rad at most."""
-    commands = np.tile(standing(), (4, 1))
-    commands[:, 0] += 0.3
-    moved = servo(commands, standing(), 0.5, 0.1)[:, 0] - standing()[0]
-    assert moved == pytest.approx([0.1, 0.2, 0.25, 0.275])
-
-
 class Seen:
     """Physics that keeps its arguments; every robot is at the edge after the tenth frame."""
 
-    def walk(self, models, starts, commands, reach):
-        self.models, self.starts, self.commands = models, starts, commands
+    def walk(self, models, starts, commands, reach, least):
+        assert least == 0
+        self.models, self.starts = models, starts
         poses = np.zeros((len(models), commands.shape[1] + 1, 3)) + starts[:, None]
         poses[:, 10:, 0] += reach
         return poses
@@ -71,8 +66,8 @@ def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
     torques = np.array([build.torque for build in builds]) / place.build.torque
     assert torques == pytest.approx([1.0, left, 1.0])
     assert left < 0.99
-    fastest = np.abs(np.diff(walker._physics.commands, axis=1)).max(axis=(1, 2))
-    assert (fastest <= 1.0001 * place.speed * 0.008 * np.array([1.0, left, 1.0])).all()
+    speeds = np.array([build.speed for build in builds]) / place.build.speed
+    assert speeds == pytest.approx([1.0, left, 1.0])
     assert len({build.friction for build in builds}) == 3
     assert len(builds[0].bumps) > 0
     assert all(build.bumps == builds[0].bumps for build in builds)
@@ -89,11 +84,46 @@ def test_no_floor_is_like_the_simulator():
         build = place.build
         assert build.timestep == 0.002
         assert build.cone == "pyramidal"
-        assert min(build.backlash, build.joint_friction, place.lag, place.sag, place.bumps) > 0.0
+        assert min(build.backlash, build.joint_friction, build.lag, place.sag, place.bumps) > 0.0
         assert len(set(build.legs)) > 1
 
 
+def test_a_film_shows_where_the_robot_walks():
+    """The path is that of the physics, to a millimetre; a fitness is as without a camera."""
+    task = Walking(1.0)
+    filmed = VirtualWalker(Gait(), task=task, camera="lab")
+    result = filmed.trial(HAND, 0)
+    assert result.fitness == VirtualWalker(Gait()).trial(HAND, 0)
+    assert result.poses.shape == (125, 3)
+    kept = []
+
+    class Kept(type(filmed._physics)):
+        def walk(self, *given):
+            kept.append(super().walk(*given)[0])
+            return kept[-1][None]
+
+    filmed._physics.__class__ = Kept
+    again = filmed.trial(HAND, 0)
+    assert np.array_equal(again.poses, result.poses)
+    true = se2.between(kept[0][0], kept[0][1:126])
+    assert np.abs(again.poses - true)[:, :2].max() < 0.003
+    assert np.abs(again.poses - true)[:, 2].max() < 0.03
+    assert true[-1, 0] > 0.05
+
+
+def test_a_film_ends_with_a_fall():
+    path = np.zeros((126, 3))
+    path[:, 0] = 0.003 * np.arange(126)
+    path[60:] = np.nan
+    seen = film(path, 0.008, 125, (0, 0))
+    assert np.isfinite(seen[:50]).all()
+    assert np.isnan(seen[60:]).all()
+    assert seen[49, 0] == pytest.approx(0.15, abs=0.003)
+
+
 def test_what_cannot_be_is_refused():
+    with pytest.raises(UserError, match="filmed by the lab's own camera: --camera lab"):
+        VirtualWalker(Gait(), camera="0")
     with pytest.raises(UserError, match="there is no floor 'moon' in the lab; choose from main"):
         VirtualWalker(Gait(), "moon")
     with pytest.raises(UserError, match="the walking robot of the lab needs a gait"):

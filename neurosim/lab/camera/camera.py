@@ -124,6 +124,10 @@ class RoofCamera(Camera):
         """
         self._carried = scene.plate_of(markers) if markers.get("tag") else scene.NO_TAG
 
+    def draw_from(self, rng: np.random.Generator) -> None:
+        """Take the noise of the next frames from a generator."""
+        self._rng = rng
+
     @property
     def due(self) -> float:
         """The lab time of the camera's next look, infinite when it is stopped."""

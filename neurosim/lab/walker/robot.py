@@ -1,9 +1,10 @@
 """Walking robots of the lab, which take the place of a real robot.
 
-A learner gets one number for each trial. The physics differ from the simulator's in ways that none
-of its adjustable parameters can express: another time step, another friction cone,
-backlash, dry friction in the joints, servos with a lag and a greatest speed, legs of unequal
-lengths, bumps, a battery that runs down, and noise between trials.
+A learner gets one number for each trial, and from a camera the robot's path. The physics differ
+from the simulator's in ways that none of its adjustable parameters can express: another time step,
+another friction cone, legs of unequal lengths, bumps, a battery that runs down, and noise between
+trials. Backlash, dry friction in the joints, and servos with a lag and a largest speed are
+parameters of :class:`~neurosim.simulators.legged.build.ServoBuild` alone.
 
 The trial is the paper's (Zagal et al. 2004, section 5.2): the robot starts in the middle of a
 circle with a radius of 200 cm, and is stopped where it crosses the circle; its fitness is the
@@ -22,16 +23,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base.compiled import njit
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import OfTime
-from neurosim.robots.quadruped import FRAME, JOINTS, standing
+from neurosim.base.trajectory import OfTime, Tracked
+from neurosim.lab.walker.film import film
+from neurosim.robots.quadruped import FRAME, JOINTS
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics
+from neurosim.tasks.walking import Walking
 
 #: Radius of the circle, m, and the longest trial, s.
 RADIUS, LONGEST = 2.0, 60.0
+#: A film lasts longer than the task's trial by this, s.
+MORE = 0.1
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,7 @@ class Ground:
     """A robot and its ground.
 
     Attributes:
-        build: the robot's true measures.
-        lag: time constant with which servos follow their commands, s.
-        speed: fastest that a servo turns, rad/s.
+        build: the robot's true measures, with a full battery.
         sag: fraction of torque and of the servos' speed that is lost from a full battery to an
             empty one.
         charge: number of trials from a full battery to an empty one, which is then charged.
@@ -53,8 +55,6 @@ class Ground:
     """
 
     build: Build
-    lag: float
-    speed: float
     sag: float
     charge: int
     bumps: float
@@ -86,10 +86,10 @@ FLOORS = {
             damping=0.015,
             joint_friction=0.03,
             backlash=0.026,
+            lag=0.025,
+            speed=6.0,
             legs=(1.0, 0.99, 1.01, 1.0),
         ),
-        lag=0.025,
-        speed=6.0,
         sag=0.2,
         charge=45,
         bumps=6.0,
@@ -118,10 +118,10 @@ FLOORS = {
             damping=0.02,
             joint_friction=0.045,
             backlash=0.017,
+            lag=0.03,
+            speed=5.5,
             legs=(1.01, 1.0, 0.99, 1.0),
         ),
-        lag=0.03,
-        speed=5.5,
         sag=0.15,
         charge=60,
         bumps=12.0,
@@ -150,10 +150,10 @@ FLOORS = {
             damping=0.012,
             joint_friction=0.02,
             backlash=0.035,
+            lag=0.02,
+            speed=6.5,
             legs=(0.995, 1.0, 1.0, 1.015),
         ),
-        lag=0.02,
-        speed=6.5,
         sag=0.25,
         charge=30,
         bumps=2.0,
@@ -175,7 +175,14 @@ class VirtualWalker:
     """
 
     @checks
-    def __init__(self, controller: Any, floor: str = "main", seed: Seed = 0, task: Any = None):
+    def __init__(
+        self,
+        controller: Any,
+        floor: str = "main",
+        seed: Seed = 0,
+        task: Any = None,
+        camera: str | None = None,
+    ):
         """Make the robot of a floor.
 
         Args:
@@ -183,6 +190,8 @@ class VirtualWalker:
             floor: The floor: main, carpet or parquet.
             seed: Random seed of the noise from trial to trial.
             task: the task walking, or None.
+            camera: lab: a camera films the robot for the time of the task's trial, and each result
+                has the tracked path; None: it has a fitness only.
 
         Raises:
             UserError: if the floor is unknown, the controller or the task is of another kind, or
@@ -201,26 +210,38 @@ class VirtualWalker:
             raise UserError(
                 f"the walking robot of the lab does the task walking only, not {task.name}"
             )
+        if camera not in (None, "lab"):
+            raise UserError(
+                "the walking robot of the lab is filmed by the lab's own camera: --camera lab"
+            )
         self.controller, self.floor, self._seed = controller, floor, seed
+        #: Number of frames of the joints that are filmed.
+        self._filmed = 0
+        if camera is not None:
+            self._filmed = round((task or Walking()).seconds / FRAME)
         self._ground = FLOORS[floor]
         self._build = replace(self._ground.build, bumps=_bumps(self._ground))
         self._physics = Physics(compile_model(self._build))
 
     def describe(self) -> dict[str, Any]:
         """Return the robot's description."""
-        return {"kind": "virtual-walker", "virtual": True, "floor": self.floor, "seed": self._seed}
+        about = {"kind": "virtual-walker", "virtual": True, "floor": self.floor, "seed": self._seed}
+        return about | ({"filmed": self._filmed * FRAME} if self._filmed else {})
 
-    def trial(self, genes: NDArray[np.float64], number: int) -> float:
-        """Return the fitness of an individual [G] in one trial, m/s.
+    def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
+        """Return the fitness of an individual [G] in one trial, m/s; with a camera its path, too.
 
         Args:
             genes: of it.
             number: of the trial; it determines the battery's charge and the noise.
         """
-        return float(self.trials(genes[None], np.array([number]))[0])
+        result: float | Tracked = self.trials(genes[None], np.array([number]))[0]
+        return result
 
-    def trials(self, genes: NDArray[np.float64], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the fitness [N] of individuals [N, G] in one trial each, as :meth:`trial` does."""
+    def trials(
+        self, genes: NDArray[np.float64], numbers: NDArray[np.int64]
+    ) -> NDArray[np.float64] | list[Tracked]:
+        """Return the results of individuals [N, G] in one trial each, as :meth:`trial` does."""
         ground = self._ground
         times = np.arange(round(LONGEST / FRAME)) * FRAME
         starts, models = np.zeros((len(genes), 3)), []
@@ -234,37 +255,21 @@ class VirtualWalker:
                 self._build,
                 friction=self._build.friction * float(np.exp(slippery)),
                 torque=self._build.torque * left,
+                speed=self._build.speed * left,
             )
             models.append(compile_model(build))
-            fraction, most = -np.expm1(-FRAME / ground.lag), ground.speed * left * FRAME
-            commands[row] = servo(commands[row], standing(), fraction, most)
-        poses = self._physics.walk(models, starts, commands, RADIUS)
+        filmed = self._filmed + round(MORE / FRAME) if self._filmed else 0
+        poses = self._physics.walk(models, starts, commands, RADIUS, filmed)
         away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
         crossed = np.nan_to_num(away, nan=0.0) >= RADIUS
         first = crossed.argmax(axis=1)
         elapsed = np.maximum(first * FRAME + clocks, FRAME)
-        return np.where(crossed.any(axis=1), RADIUS / elapsed, 0.0)
-
-
-@njit
-def servo(
-    commands: NDArray[np.float64], first: NDArray[np.float64], fraction: float, most: float
-) -> NDArray[np.float64]:
-    """Return the servos' angles, [T, 12] rad, with their lag and their largest speed.
-
-    Args:
-        commands: [T, 12] rad, one a frame.
-        first: [12] angles before, rad.
-        fraction: fraction of the remaining angle in a frame.
-        most: largest change in a frame, rad.
-    """
-    reached = np.empty_like(commands)
-    for joint in range(commands.shape[1]):
-        now = first[joint]
-        for frame in range(len(commands)):
-            now += min(max(fraction * (commands[frame, joint] - now), -most), most)
-            reached[frame, joint] = now
-    return reached
+        fitness = np.where(crossed.any(axis=1), RADIUS / elapsed, 0.0)
+        if not self._filmed:
+            return fitness
+        films = zip(poses[:, : filmed + 1], numbers.tolist(), strict=True)
+        paths = [film(path, FRAME, self._filmed, (self._seed, n)) for path, n in films]
+        return [Tracked(*each) for each in zip(fitness.tolist(), paths, strict=True)]
 
 
 def _bumps(ground: Ground) -> tuple[tuple[float, float, float, float], ...]:

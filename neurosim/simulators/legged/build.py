@@ -28,6 +28,9 @@ from neurosim.robots.quadruped import (
     standing,
 )
 
+#: Name of a model's numbers lag and speed; a model without them has ideal servos.
+SERVO = "servo"
+
 #: Fraction of a leg's mass that is in the upper leg.
 UPPER_FRACTION = 0.6
 
@@ -148,6 +151,9 @@ class Build(LeggedBuild):
         damping: of each joint, N m s/rad.
         joint_friction: dry friction of each joint, N m.
         backlash: play of each joint while its motor stands, rad; 0: none.
+        lag: time constant with which the goal of a joint's controller follows its commands, s; 0:
+            none.
+        speed: fastest change of this goal, rad/s; 0: no limit.
         legs: length of each lower leg, as a fraction of the nominal one.
         bumps: (x, y, radius, height) of flat spherical caps on the floor, m.
     """
@@ -192,6 +198,8 @@ class Build(LeggedBuild):
     damping: Amount = 0.01
     joint_friction: Amount = 0.0
     backlash: Amount = 0.0
+    lag: Amount = 0.0
+    speed: Amount = 0.0
     legs: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.0, 1.0)
     bumps: tuple[tuple[Coordinate, Coordinate, Coordinate, Coordinate], ...] = field(default=())
 
@@ -211,6 +219,29 @@ class Build(LeggedBuild):
         touch the floor; the legs pass through each other.
         """
         return _mjcf(self)
+
+
+@dataclass(frozen=True)
+class ServoBuild(Build):
+    """The walking robot with the properties of its servos, which can be adjusted, too.
+
+    The paper's twelve parameters do not have them. Gaits that were evolved without them often fall
+    in reality.
+    """
+
+    robot: ClassVar[str] = "walker-with-servos"
+    ranges: ClassVar[dict[str, tuple[float, float, str, bool]]] = {
+        **Build.ranges,
+        "joint_friction": (0.003, 0.1, "N m", True),
+        "backlash": (0.003, 0.06, "rad", True),
+        "lag": (0.003, 0.06, "s", True),
+        "speed": (3.0, 15.0, "rad/s", True),
+    }
+
+    joint_friction: Amount = 0.015
+    backlash: Amount = 0.012
+    lag: Amount = 0.015
+    speed: Amount = 8.0
 
 
 def mujoco() -> Any:
@@ -256,8 +287,9 @@ def _mjcf(build: Build) -> str:
         'contype="0" conaffinity="0"/>'
         for n, (x, y, radius, height) in enumerate(build.bumps)
     )
+    servo = f'<custom><numeric name="{SERVO}" data="{build.lag} {build.speed}"/></custom>'
     return f"""<mujoco model="quadruped">
-{build.options()}
+{build.options()}{servo if build.lag or build.speed else ""}
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>{bumps}
 <body name="trunk" pos="0 0 0.2"><freejoint name="free"/>
 <geom name="body" type="capsule" fromto="-0.06 0 0.01 0.06 0 0.01" size="0.045"

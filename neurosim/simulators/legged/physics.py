@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.compiled import njit
 from neurosim.robots.quadruped import FOOT
-from neurosim.simulators.legged.build import Build, LeggedBuild, mujoco
+from neurosim.simulators.legged.build import SERVO, Build, LeggedBuild, mujoco
 
 #: Number of frames that are computed at once.
 _CHUNK = 125
@@ -42,7 +43,9 @@ class Physics:
         self._pool = rollout.Rollout(nthread=self._threads if self._threads > 1 else 0)
         self._joints = [model.joint(name).qposadr[0] for name in make.joints]
         self._full = self._mujoco.mjtState.mjSTATE_FULLPHYSICS
-        self.size = self._mujoco.mj_stateSize(model, self._full)
+        self._physical = self._mujoco.mj_stateSize(model, self._full)
+        #: Numbers of a state: MuJoCo's, and the goals of servos with a lag or a limit of speed.
+        self.size = self._physical + (len(self._joints) if _servo(model) else 0)
         self._standing = self._stand(model)
 
     def _stand(self, model: Any) -> NDArray[np.float64]:
@@ -58,9 +61,9 @@ class Physics:
             data.time, data.qvel[:] = 0.0, 0.0
         else:
             self._put_down(model, data)
-        state = np.empty(self.size)
+        state = np.empty(self._physical)
         self._mujoco.mj_getState(model, data, state, self._full)
-        return state
+        return np.concatenate([state, make.standing()[: self.size - self._physical]])
 
     def _put_down(self, model: Any, data: Any) -> None:
         """Move a robot up or down until its feet touch the floor."""
@@ -97,20 +100,26 @@ class Physics:
             states: [B, size].
             commands: [B, T, joints] angles, rad.
         """
-        first = models[0] if isinstance(models, Sequence) else models
+        several = list(models) if isinstance(models, Sequence) else [models]
         frame = self._make.frame
-        steps = round(frame / first.opt.timestep)
-        control = np.repeat(np.ascontiguousarray(commands, np.float64), steps, axis=1)
+        steps = round(frame / several[0].opt.timestep)
         whole = np.asarray(np.isfinite(states).all(axis=1))
         begun = np.where(whole[:, None], states, self._standing)
-        frames, _ = self._pool.rollout(
-            list(models) if isinstance(models, Sequence) else models, self._data, begun, control
-        )
+        begun, before = np.split(begun, [self._physical], axis=1)
+        commands = np.ascontiguousarray(commands, np.float64)
+        if servos := [_servo(model) for model in several if _servo(model)]:
+            lag, speed = np.broadcast_to(np.array(servos).T, (2, len(states)))
+            fraction = -np.expm1(-frame / np.maximum(lag, 1e-9))
+            most = np.where(speed > 0.0, speed, np.inf) * frame
+            commands = followed(commands, before, fraction, most)
+        control = np.repeat(commands, steps, axis=1)
+        given = several if isinstance(models, Sequence) else models
+        frames, _ = self._pool.rollout(given, self._data, np.ascontiguousarray(begun), control)
         frames = frames[:, steps - 1 :: steps]
         # After a numerical blow-up MuJoCo stops, and so does its clock.
         due = begun[:, :1] + frame * np.arange(1, frames.shape[1] + 1)
         frames[(np.abs(frames[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
-        return frames
+        return np.concatenate([frames, commands], axis=2) if servos else frames
 
     def walk(
         self,
@@ -118,6 +127,7 @@ class Physics:
         starts: NDArray[np.float64],
         commands: NDArray[np.float64],
         reach: float | None = None,
+        least: int = 0,
     ) -> NDArray[np.float64]:
         """Return the poses [B, T + 1, 3] of robots; NaN from a fall on.
 
@@ -126,7 +136,8 @@ class Physics:
             starts: [B, 3] first poses (m, m, rad).
             commands: [B, T, joints] angles, rad.
             reach: a trial ends, with NaN from the next chunk on, when the robot is this far from
-                its start, m.
+                its start, m,
+            least: and at least this many frames have passed.
         """
         rows, frames = commands.shape[:2]
         poses = np.full((rows, frames + 1, 3), np.nan)
@@ -141,7 +152,7 @@ class Physics:
             states[going] = walked[:, -1]
             poses[going, first + 1 : part.stop + 1] = seen
             over = np.isnan(seen[:, -1, 0])
-            if reach is not None:
+            if reach is not None and part.stop >= least:
                 away = np.linalg.norm(seen[..., :2] - starts[going, None, :2], axis=-1)
                 over |= (away >= reach).any(axis=1)
             going = going[~over]
@@ -151,6 +162,40 @@ class Physics:
 
     def __getstate__(self) -> None:
         raise TypeError("threads cannot be copied")
+
+
+def _servo(model: Any) -> tuple[float, float] | None:
+    """Return a model's lag (s) and speed (rad/s, 0: no limit) of servos; None: they are ideal."""
+    if not any(model.numeric(n).name == SERVO for n in range(model.nnumeric)):
+        return None
+    lag, speed = model.numeric(SERVO).data
+    return float(lag), float(speed)
+
+
+@njit
+def followed(
+    commands: NDArray[np.float64],
+    before: NDArray[np.float64],
+    fraction: NDArray[np.float64],
+    most: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the goals of servos with a lag and a limit of speed, [B, T, joints] rad.
+
+    Args:
+        commands: [B, T, joints] rad, one a frame.
+        before: [B, joints] goals before, rad.
+        fraction: of the remaining angle, in a frame, [B].
+        most: largest change in a frame, [B] rad.
+    """
+    goals = np.empty_like(commands)
+    for row in range(commands.shape[0]):
+        for joint in range(commands.shape[2]):
+            now = before[row, joint]
+            for frame in range(commands.shape[1]):
+                change = fraction[row] * (commands[row, frame, joint] - now)
+                now += min(max(change, -most[row]), most[row])
+                goals[row, frame, joint] = now
+    return goals
 
 
 def poses_of(

@@ -28,13 +28,13 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, OfTime, Trajectory
 from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
-from neurosim.simulators.legged.build import Build, LeggedBuild, compile_model
+from neurosim.simulators.legged.build import Build, LeggedBuild, ServoBuild, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
 from neurosim.simulators.legged.quadratot import QuadraTot
 from neurosim.simulators.sampling import draw_samples
 
 #: The kinds of robots by their names in files.
-BUILDS: dict[str, type[LeggedBuild]] = {one.robot: one for one in (Build, QuadraTot)}
+BUILDS: dict[str, type[LeggedBuild]] = {one.robot: one for one in (Build, ServoBuild, QuadraTot)}
 PARAMETERS = tuple(Build.ranges)
 
 
