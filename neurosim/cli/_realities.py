@@ -84,7 +84,13 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
                     f"{help} virtual-*: of the lab. by-hand: a person types the fitness. Others: a "
                     "real robot by its driver."
                 ),
-                skip=("controller", "task", "simulator", "camera"),  # the command gives it
+                skip=(
+                    "controller",
+                    "task",
+                    "simulator",
+                    "camera",
+                    "calibration",
+                ),  # the command gives it
                 outside=_may_be_real,
             ),
         ):

@@ -11,9 +11,13 @@ from sliding_block import Push
 
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.base.trajectory import Tracked
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.params import CameraParams
 from neurosim.loop.journal import Journal, read_trials
+from neurosim.tasks.walking import Walking
 from neurosim.trials.by_hand import ByHand
 from neurosim.trials.realities import REALITIES, make_reality, open_reality
+from tracking.camera.cameras import VideoSink
 
 ONE, TWO = np.array([0.25, 0.5]), np.array([0.75, 0.1])
 
@@ -185,6 +189,35 @@ def test_a_person_is_asked_before_every_trial(tmp_path):
     assert trials.evaluate(ONE[None], "first") == pytest.approx([0.4])
     assert len(asked) == 3
     assert "Put the robot back" in asked[0]
+
+
+def test_a_film_gives_the_path_of_a_trial_by_hand(tmp_path):
+    """It stands for half a second, drives ahead at 0.2 m/s for a second, and stands again."""
+    camera = RoofCamera(CameraParams(size=(640, 480)), 0)
+    sink = VideoSink(tmp_path / "film.avi", None, 1, camera.size, 30.0)
+    for frame in range(90):
+        ahead = 0.2 * np.clip(frame / 30.0 - 0.5, 0.0, 1.0)
+        sink.write(frame / 30.0, camera.render(np.array([0.3, 0.1 + ahead, np.pi / 2])))
+    sink.close()
+    calibration = tmp_path / "calibration.json"
+    camera.optics.calibration.write(calibration)
+    asked = []
+
+    def type_in(message):
+        asked.append(message)
+        return ["0.2", "no.avi", str(tmp_path / "film.avi")][len(asked) - 1]
+
+    result = ByHand(Push(), Walking(1.0), type_in, calibration).trial(ONE, 0)
+    assert "no.avi" in asked[2]
+    assert result.fitness == 0.2
+    assert result.poses.shape == (125, 3)
+    # Motion is noticed where it is 1 cm, or one frame earlier.
+    assert result.poses[-1] == pytest.approx([0.195, 0.0, 0.0], abs=0.01)
+    assert result.poses[61] == pytest.approx([0.1, 0.0, 0.0], abs=0.015)
+    without = ByHand(Push(), Walking(1.0), lambda message: "" if "Film" in message else "0.3", "c")
+    assert without.trial(ONE, 0) == 0.3
+    with pytest.raises(UserError, match="films of trials need the task"):
+        ByHand(Push(), calibration=calibration)
 
 
 def test_several_at_once_get_numbers_of_their_own(tmp_path):
