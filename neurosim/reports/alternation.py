@@ -64,7 +64,7 @@ def _figure_3(one: Artefact, prefix: str) -> Picture:
         _curves(axes[0, 0], [first], "Controllers in the simulator (L1)", "fitness", "generation")
         l3 = [cycle["L3"] for cycle in cycles if "L3" in cycle]
         tracked = any("poses" in one.get("compared", {}).get("after", {}) for one in l3)
-        what = "poses' distance, m" if tracked else "norm"
+        what = "difference of paths, m" if tracked else "norm"
         history = [one["history"] for one in l3]
         _curves(axes[0, 1], history, "Its discrepancy from reality (L3)", what, "generation")
         learned = [cycle["L2"] for cycle in cycles if "L2" in cycle]

@@ -85,12 +85,12 @@ class ByHand:
             with suppress(ValueError):
                 fitness = float(self._type_in(asked))
             asked = "A number, please: "
-        asked = "Film of this trial (Enter if there is none): "
+        asked = "Film of this trial (Enter: not filmed): "
         while self._calibration is not None and (film := self._type_in(asked).strip()):
             try:
                 return Tracked(fitness, self._path(film))
             except UserError as error:
-                asked = f"{error}\nFilm of this trial (Enter if there is none): "
+                asked = f"{error}\nFilm of this trial (Enter: not filmed): "
         return fitness
 
     def _path(self, film: str) -> NDArray[np.float64]:
@@ -100,8 +100,10 @@ class ByHand:
             UserError: if it cannot be tracked.
         """
         colours = DEFAULT_MARKERS["front"]["colour"], DEFAULT_MARKERS["rear"]["colour"]
-        found = track_video(film, colours, calibration=self._calibration, height=self._height)
-        moments, *columns = (np.array(found["poses"][name]) for name in ("time", "x", "y", "theta"))
+        tracked = track_video(film, colours, calibration=self._calibration, height=self._height)
+        moments, *columns = (
+            np.array(tracked["poses"][name]) for name in ("time", "x", "y", "theta")
+        )
         poses = np.stack(columns, axis=-1)
         away = poses - poses[np.isfinite(poses).all(axis=1)][0]
         moved = (np.hypot(away[:, 0], away[:, 1]) > MOVES) | (np.abs(away[:, 2]) > MOVES)
