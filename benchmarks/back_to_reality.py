@@ -9,12 +9,15 @@ method holds to be best is measured in ten further trials, of which the mean cou
     python benchmarks/back_to_reality.py -o table.jsonl           # a new table: one seed, three
     floors
     python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings next to ours
+    python benchmarks/back_to_reality.py --servos --show          # a filmed robot, half the trials
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
 Each run (a method, a seed, a floor) is a line of the file, written as soon as the run ends; runs in
 the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
-parameter is tuned on carpet and parquet. ``--paper`` takes the paper's 600 generations, 45 for L3
-and trials of 20 s; without it there are 120, 20 and 5 s.
+parameter is tuned on any place but main. With ``--servos`` the simulator has the properties of
+servos, and there are 60 evaluations: once the robot is filmed, and L3 compares paths, and once
+there is no L3; the runs are in benchmarks/filmed.jsonl. ``--paper`` takes the paper's 600
+generations, 45 for L3 and trials of 20 s; without it there are 120, 20 and 5 s.
 """
 
 from __future__ import annotations
@@ -289,8 +292,29 @@ def medians(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             speeds = [list(row["read"].values())[-1][0] for row in own]
             passed = sum(s >= PAPER * row["hand"] for s, row in zip(speeds, own, strict=True))
             result[floor][method] = {
-                "speed": 100 * float(np.median(speeds)), "passed": passed, "seeds": len(own)
+                "speed": 100 * float(np.median(speeds)), "passed": passed, "seeds": len(own),
+                **agreements([row.get("cycles", []) for row in own]),
             }  # fmt: skip
+    return result
+
+
+def agreements(runs: list[list[dict[str, Any]]]) -> dict[str, Any]:
+    """Return medians over runs: how well the simulator predicts gaits.
+
+    ``transfer`` is the percentage of the first candidates that reach the predicted fitness within
+    25 %; ``next`` has the RMS (cm/s) and the rank of the gaits after each L3, before and after it.
+    """
+    first = [cycles[0]["transfer"] for cycles in runs if cycles]
+    result: dict[str, Any] = {"transfer": 100 * float(np.median(first))} if first else {}
+    held_out = [one["held_out"] for cycles in runs for one in cycles if "held_out" in one]
+    if held_out:
+        result["next"] = {
+            when: {
+                "rms": 100 * float(np.median([one[when]["rms"] for one in held_out])),
+                "rank": float(np.median([one[when]["rank"] or 0.0 for one in held_out])),
+            }
+            for when in ("before", "after")
+        }
     return result
 
 
@@ -358,17 +382,27 @@ def main() -> None:
     parser.add_argument("--speed", action="store_true", help="measure what a trial costs")
     parser.add_argument("--seeds", type=int, default=1, help="how many")
     parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
-    parser.add_argument("--floors", nargs="+", choices=list(FLOORS), default=list(FLOORS))
-    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
+    parser.add_argument("--floors", nargs="+", choices=list(FLOORS), default=list(FLOORS)[:3])
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=list(METHODS),
+        default=[m for m in METHODS if m not in SERVOS],
+    )
     parser.add_argument(
         "--change", nargs="+", default=[], metavar="SETTING=VALUE",
         help="in place of --methods: the better choices as they are, and with other settings",
     )  # fmt: skip
+    parser.add_argument("--budget", type=int, default=READ_AT[-1], help="evaluations in reality")
     parser.add_argument("--paper", action="store_true", help="at the paper's size")
     parser.add_argument("--quick", action="store_true", help="a small size, to try the benchmark")
     parser.add_argument("--show", action="store_true", help="run nothing")
     parser.add_argument("--json", action="store_true", help="print the medians as JSON")
+    parser.add_argument("--servos", action="store_true", help="the methods with servos alone")
     options = parser.parse_args()
+    if options.servos:
+        options.methods, options.budget = list(SERVOS), READ_AT[0]
+        options.out = KEPT.with_name("filmed.jsonl") if options.out == KEPT else options.out
     if options.speed:
         print(speed())
         return
@@ -382,7 +416,7 @@ def main() -> None:
         name = f"{BETTER}, {', '.join(options.change)}"
         METHODS[name] = lambda job: job.alternate("better", **changes)
         options.methods = [BETTER, name]
-    size = {"seconds": 5.0, "generations": 120, "adapt_generations": 20, "budget": READ_AT[-1]}
+    size = {"seconds": 5.0, "generations": 120, "adapt_generations": 20, "budget": options.budget}
     if options.paper:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:

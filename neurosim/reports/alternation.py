@@ -141,7 +141,7 @@ def _agreement(one: Artefact) -> Table:
     }
     measures = {"norm": "norm", "median": "median", "rank": "rank correlation"}
     if any("poses" in agreement["after"] for agreement in each.values()):
-        measures["poses"] = "poses' distance, m"
+        measures["poses"] = "difference of paths, m"
     rows = []
     for words, agreement in each.items():
         values = [agreement[when].get(name) for name in measures for when in ("before", "after")]

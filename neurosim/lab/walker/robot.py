@@ -11,7 +11,7 @@ circle with a radius of 200 cm, and is stopped where it crosses the circle; its 
 radius divided by the time. After a fall, or too much time, the fitness is 0.
 
 The constants were fixed before anything was tuned. Settings are tuned on ``main``, never on the
-other two.
+others; ``tiles`` and ``lawn`` were drawn.
 """
 
 from __future__ import annotations
@@ -61,6 +61,47 @@ class Ground:
     height: float
     scatter: tuple[float, float, float]
     seed: int
+
+    @classmethod
+    def drawn(cls, seed: int) -> Ground:
+        """Return a random robot and ground."""
+        rng = np.random.default_rng([seed, 0x6F1D])
+
+        def between(low: float, high: float) -> float:
+            return round(float(rng.uniform(low, high)), 4)
+
+        build = Build(
+            head=between(0.16, 0.26),
+            neck=between(0.06, 0.11),
+            body=between(0.55, 0.85),
+            leg=between(0.13, 0.19),
+            friction=between(0.45, 1.0),
+            slip=between(0.015, 0.07),
+            slip_ratio=between(0.7, 1.7),
+            p=between(3.5, 6.0),
+            i=between(0.5, 3.5),
+            d=between(0.05, 0.13),
+            torque=between(0.65, 0.95),
+            timestep=0.002,
+            iterations=30,
+            cone="pyramidal",
+            armature=between(0.0015, 0.0028),
+            damping=between(0.01, 0.02),
+            joint_friction=between(0.015, 0.05),
+            backlash=between(0.015, 0.04),
+            lag=between(0.015, 0.035),
+            speed=between(5.0, 7.0),
+            legs=(between(0.985, 1.015), between(0.985, 1.015), between(0.985, 1.015), 1.0),
+        )
+        return cls(
+            build,
+            sag=between(0.1, 0.3),
+            charge=int(rng.integers(30, 61)),
+            bumps=between(2.0, 14.0),
+            height=between(0.002, 0.004),
+            scatter=(between(0.03, 0.07), between(0.03, 0.07), 0.05),
+            seed=seed,
+        )
 
 
 #: By name. The time step is half the simulator's, the cone a pyramid.
@@ -161,6 +202,8 @@ FLOORS = {
         scatter=(0.04, 0.06, 0.05),
         seed=3,
     ),
+    "tiles": Ground.drawn(4),
+    "lawn": Ground.drawn(5),
 }
 
 
@@ -187,7 +230,7 @@ class VirtualWalker:
 
         Args:
             controller: a controller whose commands depend on time alone, such as a gait.
-            floor: The floor: main, carpet or parquet.
+            floor: The floor: main, carpet, parquet, tiles or lawn.
             seed: Random seed of the noise from trial to trial.
             task: the task walking, or None.
             camera: lab: a camera films the robot for the time of the task's trial, and each result
