@@ -195,11 +195,12 @@ def _text(content: dict[str, Any], out: Path) -> str:
     for number, cycle in enumerate(content["cycles"], 1):
         if "L3" in cycle:
             compared = cycle["L3"]["compared"]
-            by, unit = ("poses", " m") if "poses" in compared["before"] else ("norm", "")
+            tracked = "poses" in compared["before"]
+            by, unit, what = ("poses", " m", "paths") if tracked else ("norm", "", "norm")
             text += (
                 f"Cycle {number}: the simulator and reality differed by "
                 f"{compared['before'][by]:.3g}{unit} over {compared['individuals']} controllers "
-                f"({by}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
+                f"({what}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
             )
     how, adapted = content["settings"], any("L3" in cycle for cycle in content["cycles"])
     if (

@@ -66,4 +66,4 @@ def film(
     moments, front, rear = (np.array(part) for part in zip(*seen, strict=True))
     poses = marker_poses(front, rear, DEFAULT_MARKERS, optics)
     tracked = between(moments - begun, poses, times[: steps + 1])
-    return se2.between(tracked[0], tracked[1:])
+    return np.round(se2.between(tracked[0], tracked[1:]), 5)
