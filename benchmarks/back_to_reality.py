@@ -9,13 +9,13 @@ method holds to be best is measured in ten further trials, of which the mean cou
     python benchmarks/back_to_reality.py -o table.jsonl           # a new table: one seed, three
     floors
     python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings next to ours
-    python benchmarks/back_to_reality.py --servos --show          # a filmed robot, half the trials
+    python benchmarks/back_to_reality.py --servos --show     # a filmed robot, a third of the trials
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
 Each run (a method, a seed, a floor) is a line of the file, written as soon as the run ends; runs in
 the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
 parameter is tuned on any place but main. With ``--servos`` the simulator has the properties of
-servos, and there are 60 evaluations: once the robot is filmed, and L3 compares paths, and once
+servos, and there are 40 evaluations: once the robot is filmed, and L3 compares paths, and once
 there is no L3; the runs are in benchmarks/filmed.jsonl. ``--paper`` takes the paper's 600
 generations, 45 for L3 and trials of 20 s; without it there are 120, 20 and 5 s.
 """
@@ -48,6 +48,8 @@ from neurosim.simulators.legged.simulator import LeggedSimulator
 from neurosim.tasks.walking import Walking
 
 READ_AT = (60, 90, 120)
+#: Evaluations with ``--servos``.
+FEW = 40
 AGAIN = 10
 HAND = genes_of(HAND_TUNED)
 #: The paper's 24.7 cm/s over its hand-tuned 10.
@@ -401,7 +403,7 @@ def main() -> None:
     parser.add_argument("--servos", action="store_true", help="the methods with servos alone")
     options = parser.parse_args()
     if options.servos:
-        options.methods, options.budget = list(SERVOS), READ_AT[0]
+        options.methods, options.budget = list(SERVOS), FEW
         options.out = KEPT.with_name("filmed.jsonl") if options.out == KEPT else options.out
     if options.speed:
         print(speed())

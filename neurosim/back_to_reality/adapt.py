@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import se2
-from neurosim.evolution.climb import Climb
 
-#: Parameter sets that are kept differ at least by this root mean square of their fractions.
-APART = 0.05
 #: Standard deviation of cma's first population, as a fraction of the ranges.
 SPREAD = 0.2
 #: Where poses are compared, metres that count as much as a radian of heading.
@@ -120,29 +117,6 @@ def similar(
     larger = np.maximum(np.maximum(np.abs(simulated), np.abs(real)), 1e-12)
     apart = np.abs(simulated - real) / larger + 2.0 * (real <= 0.0)
     return np.sort(np.argsort(apart, kind="stable")[:count])
-
-
-def kept_sets(
-    climb: Climb, count: int, before: NDArray[np.float64], fitness_before: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the best parameter sets that differ, [S, K], S up to ``count``.
-
-    Args:
-        climb: the search.
-        count: how many are wanted.
-        before: [B, K] the earlier sets, which are kept if the search did not find better ones.
-        fitness_before: [B] the negative of their discrepancy.
-    """
-    sets = np.concatenate([before, *climb.asked])
-    fitness = np.concatenate([fitness_before, *climb.fitness])
-    kept: list[NDArray[np.float64]] = []
-    for place in np.argsort(-fitness, kind="stable"):
-        apart = [np.sqrt(np.mean((sets[place] - one) ** 2)) for one in kept]
-        if not kept or min(apart) >= APART:
-            kept.append(sets[place])
-        if len(kept) == count:
-            break
-    return np.stack(kept)
 
 
 def agreement(

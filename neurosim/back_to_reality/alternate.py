@@ -18,7 +18,6 @@ from neurosim.back_to_reality.adapt import (
     SPREAD,
     Compared,
     agreement,
-    kept_sets,
     similar,
 )
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
@@ -44,8 +43,7 @@ class Adaptation:
         fitness: its mean fitness in reality.
         start: mean fitness in reality of the first controller.
         sets: [S, K] the parameter sets that controllers were evolved over last, fractions of their
-            ranges: without L3 the simulator itself and random sets around it; after L3 the sets
-                that it found, the best first.
+            ranges: the simulator itself, adapted by L3 if that ran, and random sets around it.
         evaluations: used in reality.
         trials: used in reality.
         record: every evaluation in reality, in their order.
@@ -110,13 +108,7 @@ class Alternation:
         self._save, self._progress = save, progress
         self._scalars = scalars or Scalars(None)
         self._record = Evaluations()
-        self._sets = simulated.as_is[None]
-        if settings.sets > 1:
-            normal = np.random.default_rng([seed, 0x5E75]).standard_normal(
-                (settings.sets - 1, len(simulated.as_is))
-            )
-            others = np.clip(simulated.as_is + settings.prior * normal, 0.0, 1.0)
-            self._sets = np.concatenate([self._sets, others])
+        self._sets = self._around(simulated.as_is, 0)
         self.cycles: list[dict[str, Any]] = []
         #: The first parameter set [K] before and after L3 of a cycle.
         self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
@@ -322,12 +314,14 @@ class Alternation:
         climb = Climb(self._parameters(cycle, self._sets[0]), lambda sets: -ten.discrepancy(sets))
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
-        before, worth = self._sets, -ten.discrepancy(self._sets)
-        self._sets, before = kept_sets(climb, settings.sets, before, worth), before[0]
-        self._adapted[cycle] = before, self._sets[0]
+        before, asked = self._sets[0], np.concatenate(climb.asked)
+        known = np.concatenate([-ten.discrepancy(before[None]), *climb.fitness])
+        best = np.concatenate([before[None], asked])[known.argmax()]
+        self._sets = self._around(best, cycle + 1)
+        self._adapted[cycle] = before, best
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
-            "parameters": [self._named(one) for one in self._sets],
+            "parameters": [self._named(best)],
             "compared": {
                 **self._agreement(cycle, ten.genes, ten.fitness),
                 "real": ten.fitness.tolist(),
@@ -337,6 +331,17 @@ class Alternation:
         }
         if left_out is not None and len(left_out[0]):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)
+
+    def _around(self, middle: NDArray[np.float64], stream: int) -> NDArray[np.float64]:
+        """Return a parameter set [K] and random ones around it, [S, K].
+
+        The simulator never agrees fully with reality: controllers that are evolved in the best set
+        alone depend on it.
+        """
+        rng = np.random.default_rng([self._seed, 0x5E75, *[stream] * (stream > 0)])
+        normal = rng.standard_normal((self._settings.sets - 1, len(middle)))
+        others = np.clip(middle + self._settings.prior * normal, 0.0, 1.0)
+        return np.concatenate([middle[None], others])
 
     def _agreement(
         self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]

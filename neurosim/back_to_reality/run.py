@@ -129,7 +129,7 @@ def back_to_reality(
         reality: tries controllers.
         out: folder of the result: ``back-to-reality.json``, ``trials.jsonl``, ``controller`` (if
             the best is not a plan without any command) and, of a simulator that can be written,
-            ``simulator``, and ``simulator-2`` ... for the other sets that L3 found.
+            ``simulator``.
         start: [G] the genes to start from; None: those tuned by hand.
         settings: of the alternation; by default neurosim's own, ``settings_named("better")``.
         seed: random seed.
@@ -204,8 +204,8 @@ def back_to_reality(
         content = _content(result, simulated, begun, task, controller)
         with files.new_folder(out) as partial:
             shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
-            saved_in = _simulators(result, simulated, partial)
-            saved = _controller(result, simulated, task, controller, content, saved_in)
+            kept = write_simulator(simulated.adjusted(result.sets[0]), partial / "simulator")
+            saved = _controller(result, simulated, task, controller, content, kept)
             if saved.kind != "plan" or saved.given:
                 saved.write(partial / "controller")
             files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
@@ -252,27 +252,13 @@ def _times(result: Adaptation) -> float | None:
     return result.fitness / result.start if result.start > 0.0 else None
 
 
-def _simulators(result: Adaptation, simulated: Simulated, folder: Path) -> list[str]:
-    """Write the adapted simulators, where they can be written; return their names.
-
-    Without L3 it is the given one; the other sets were only random ones around it.
-    """
-    names, adapted = [], any("L3" in cycle for cycle in result.cycles)
-    for place, one in enumerate(result.sets if adapted else result.sets[:1]):
-        simulator = simulated.adjusted(one)
-        names.append("simulator" if not place else f"simulator-{place + 1}")
-        if not write_simulator(simulator, folder / names[-1]):
-            return []
-    return names
-
-
 def _controller(
     result: Adaptation,
     simulated: Simulated,
     task: Task,
     controller: Controller,
     content: Mapping[str, Any],
-    simulators: list[str],
+    kept: bool,
 ) -> SavedController:
     """Return the best controller as it is saved, with the adapted simulator's prediction."""
     genes = simulated.real_genes(result.genes)
@@ -302,7 +288,7 @@ def _controller(
             "completes": bool(judged.success[0].all()),
             "unsupported": 0.0,
         },
-        {"path": simulators[0]} if simulators else {},
+        {"path": "simulator"} if kept else {},
         {
             "settings": content["settings"],
             "seed": content["seed"],

@@ -200,7 +200,8 @@ def _text(content: dict[str, Any], out: Path) -> str:
             text += (
                 f"Cycle {number}: the simulator and reality differed by "
                 f"{compared['before'][by]:.3g}{unit} over {compared['individuals']} controllers "
-                f"({what}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
+                f"({what}), by {compared['after'][by]:.3g}{unit} after its parameters were "
+                "adapted.\n"
             )
     how, adapted = content["settings"], any("L3" in cycle for cycle in content["cycles"])
     if (

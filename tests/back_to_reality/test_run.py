@@ -140,15 +140,15 @@ class Written(Block):
         folder.mkdir()
 
 
-@pytest.mark.parametrize(("compare", "written"), [("tracked", 1), ("recent", 3)])
-def test_only_simulators_that_were_adapted_are_written(tmp_path, compare, written):
+@pytest.mark.parametrize("compare", ["tracked", "recent"])
+def test_one_simulator_is_written(tmp_path, compare):
+    """It is the given or the adapted one, without the random ones around it."""
     settings = replace(SMALL, sets=3, compare=compare)
     back_to_reality(
         Written(), Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=settings,
         progress=False,
     )  # fmt: skip
-    names = ["simulator", "simulator-2", "simulator-3"][:written]
-    assert sorted(path.name for path in (tmp_path / "out").glob("simulator*")) == names
+    assert [path.name for path in (tmp_path / "out").glob("simulator*")] == ["simulator"]
 
 
 def test_the_best_may_blow_up_in_the_simulator(tmp_path):
