@@ -41,7 +41,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality import Simulated
-from neurosim.back_to_reality.adapt import SPREAD, Compared, kept_sets, rank_correlation
+from neurosim.back_to_reality.adapt import SPREAD, Compared, best_set, rank_correlation
 from neurosim.back_to_reality.settings import settings_named
 from neurosim.base.errors import UserError
 from neurosim.base.files import JsonLines
@@ -157,7 +157,7 @@ def adapted(simulated: Simulated, trials: Trials, seed: int, generations: int) -
     climb = Climb(make_optimiser("cma", space), lambda sets: -compared.discrepancy(sets))
     if run_generations(climb, generations, f"seed {seed}: L3"):
         raise KeyboardInterrupt
-    return kept_sets(climb, 1, start, -compared.discrepancy(start))[0]
+    return best_set(compared, climb, start[0])
 
 
 def predicted(simulated: Simulated, trials: Trials, parameters: Array) -> Array:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import se2
+from neurosim.evolution.climb import Climb
 
 #: Standard deviation of cma's first population, as a fraction of the ranges.
 SPREAD = 0.2
@@ -117,6 +118,14 @@ def similar(
     larger = np.maximum(np.maximum(np.abs(simulated), np.abs(real)), 1e-12)
     apart = np.abs(simulated - real) / larger + 2.0 * (real <= 0.0)
     return np.sort(np.argsort(apart, kind="stable")[:count])
+
+
+def best_set(compared: Compared, climb: Climb, before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the best parameter set [K] of a search, or that of before, [K], if none is better."""
+    sets = np.concatenate([before[None], *climb.asked])
+    fitness = np.concatenate([-compared.discrepancy(before[None]), *climb.fitness])
+    best: NDArray[np.float64] = sets[fitness.argmax()]
+    return best
 
 
 def agreement(

@@ -18,6 +18,7 @@ from neurosim.back_to_reality.adapt import (
     SPREAD,
     Compared,
     agreement,
+    best_set,
     similar,
 )
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
@@ -314,14 +315,13 @@ class Alternation:
         climb = Climb(self._parameters(cycle, self._sets[0]), lambda sets: -ten.discrepancy(sets))
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
-        before, asked = self._sets[0], np.concatenate(climb.asked)
-        known = np.concatenate([-ten.discrepancy(before[None]), *climb.fitness])
-        best = np.concatenate([before[None], asked])[known.argmax()]
-        self._sets = self._around(best, cycle + 1)
-        self._adapted[cycle] = before, best
+        before = self._sets[0]
+        after = best_set(ten, climb, before)
+        self._sets = self._around(after, cycle + 1)
+        self._adapted[cycle] = before, after
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
-            "parameters": [self._named(best)],
+            "parameters": [self._named(after)],
             "compared": {
                 **self._agreement(cycle, ten.genes, ten.fitness),
                 "real": ten.fitness.tolist(),

@@ -30,7 +30,6 @@ from neurosim.lab.walker.film import film
 from neurosim.robots.quadruped import FRAME, JOINTS
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics
-from neurosim.tasks.walking import Walking
 
 #: Radius of the circle, m, and the longest trial, s.
 RADIUS, LONGEST = 2.0, 60.0
@@ -237,8 +236,8 @@ class VirtualWalker:
                 has the tracked path; None: it has a fitness only.
 
         Raises:
-            UserError: if the floor is unknown, the controller or the task is of another kind, or
-                the seed is negative.
+            UserError: if the floor is unknown, the controller or the task is of another kind, the
+                seed is negative, or there is no task of which a film is made.
         """
         if floor not in FLOORS:
             raise UserError(
@@ -257,11 +256,15 @@ class VirtualWalker:
             raise UserError(
                 "the walking robot of the lab is filmed by the lab's own camera: --camera lab"
             )
+        if camera and (task is None or task.episode.step != FRAME):
+            raise UserError(
+                f"a film is as long as a trial of the task walking with --step {FRAME:g}: give it"
+            )
         self.controller, self.floor, self._seed = controller, floor, seed
         #: Number of frames of the joints that are filmed.
         self._filmed = 0
-        if camera is not None:
-            self._filmed = round((task or Walking()).seconds / FRAME)
+        if camera is not None and task is not None:
+            self._filmed = task.episode.steps
         self._ground = FLOORS[floor]
         self._build = replace(self._ground.build, bumps=_bumps(self._ground))
         self._physics = Physics(compile_model(self._build))
