@@ -192,6 +192,7 @@ def back_to_reality(
                     each=settings.trials,
                     patience=patience,
                     ask=ask,
+                    progress=progress,
                 ) as journal,
             ):
                 result = Alternation(

@@ -12,6 +12,7 @@ import math
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -23,6 +24,7 @@ from neurosim.base.declared import Mismatch, convert
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.base.files import JsonLines, read_json_lines
 from neurosim.base.formats import TrialRow
+from neurosim.base.progress import Progress
 from neurosim.base.trajectory import Tracked
 
 FORMAT, VERSION = "neurosim-real-trials", 1
@@ -81,6 +83,7 @@ class Journal:
         each: int = 3,
         patience: float = 600.0,
         ask: Callable[[str], None] | None = None,
+        progress: bool = False,
     ):
         """Open the file of trials, or begin it.
 
@@ -90,6 +93,7 @@ class Journal:
             each: number of trials of an evaluation, whose fitness is their mean (section 5.2: 3).
             patience: longest time of a trial, s.
             ask: asks a person to do something, and returns when it is done.
+            progress: whether to show progress on stderr, unless a person is asked.
 
         Raises:
             UserError: if the reality needs a person and there is none.
@@ -98,6 +102,7 @@ class Journal:
         self._reality: Any = _Function(reality) if not isinstance(reality, Reality) else reality
         self._each, self._patience, self._ask = each, patience, ask
         self._instruction = getattr(self._reality, "instruction", None)
+        self._progress = progress and self._instruction is None
         if self._instruction is not None and ask is None:
             raise UserError(
                 f"this reality needs a person ({self._instruction}): give a function that asks one"
@@ -187,20 +192,29 @@ class Journal:
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
         together = hasattr(self._reality, "trials") and self._instruction is None
         size = AT_ONCE if together else 1
-        for first in range(0, len(rows), size):
-            part = np.stack(rows[first : first + size])
-            number = self._count
-            if self._ask is not None and self._instruction is not None:
-                self._ask(self._instruction)
-            call = partial(self._reality.trial, part[0], number)
-            if together:
-                call = partial(self._reality.trials, part, number + np.arange(len(part)))
-            answer = self._answer(call, len(part), number)
-            if together and np.shape(answer)[:1] != (len(part),):
-                raise _no_number(answer, number)
-            for row, one in zip(part, answer if together else [answer], strict=True):
-                self._write(row, one, why)
-            self._stop_if_interrupted()
+        label = f"{why}: trials in reality"
+        shown = Progress(label, len(rows), "trials") if self._progress and rows else None
+        with shown or nullcontext():
+            for first in range(0, len(rows), size):
+                part = np.stack(rows[first : first + size])
+                self._make_some(part, why, together)
+                if shown:
+                    shown.advance(len(part))
+
+    def _make_some(self, part: NDArray[np.float64], why: str, together: bool) -> None:
+        """Make a trial, or several at once, and write them down."""
+        number = self._count
+        if self._ask is not None and self._instruction is not None:
+            self._ask(self._instruction)
+        call = partial(self._reality.trial, part[0], number)
+        if together:
+            call = partial(self._reality.trials, part, number + np.arange(len(part)))
+        answer = self._answer(call, len(part), number)
+        if together and np.shape(answer)[:1] != (len(part),):
+            raise _no_number(answer, number)
+        for row, one in zip(part, answer if together else [answer], strict=True):
+            self._write(row, one, why)
+        self._stop_if_interrupted()
 
     def _stop_if_interrupted(self) -> None:
         if self._interrupted:

@@ -191,6 +191,16 @@ def test_a_person_is_asked_before_every_trial(tmp_path):
     assert "Put the robot back" in asked[0]
 
 
+def test_trials_that_take_long_are_counted_on_stderr(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("neurosim.base.progress.LINE_EVERY", 0.0)
+    trials = Journal(Counting(), tmp_path / "trials.jsonl", each=2, progress=True)
+    trials.evaluate(ONE[None], "first")
+    shown = capsys.readouterr().err
+    assert "first: trials in reality: 1 of 2 trials" in shown
+    trials.evaluate(ONE[None], "again")  # makes none
+    assert capsys.readouterr().err == ""
+
+
 def test_a_film_gives_the_path_of_a_trial_by_hand(tmp_path):
     """It stands for half a second, drives ahead at 0.2 m/s for a second, and stands again."""
     camera = RoofCamera(CameraParams(size=(640, 480)), 0)
