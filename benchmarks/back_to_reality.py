@@ -16,8 +16,9 @@ Each run (a method, a seed, a floor) is a line of the file, written as soon as t
 the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
 parameter is tuned on any place but main. With ``--servos`` the simulator has the properties of
 servos, and there are 40 evaluations: once the robot is filmed, and L3 compares paths, and once
-there is no L3; the runs are in benchmarks/filmed.jsonl. ``--paper`` takes the paper's 600
-generations, 45 for L3 and trials of 20 s; without it there are 120, 20 and 5 s.
+there is no L3; the runs, with ``--floors tiles lawn``, are in benchmarks/filmed.jsonl.
+``--paper`` takes the paper's 600 generations, 45 for L3 and trials of 20 s; without it there are
+120, 20 and 5 s.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class Remembering(Simulated):
     ``tried`` counts all requested trials.
     """
 
-    _known: ClassVar[dict[bytes, float]] = {}  # parameters' number differs between builds
+    _known: ClassVar[dict[bytes, float]] = {}
 
     @classmethod
     def forget(cls) -> None:

@@ -40,7 +40,8 @@ def paths_apart(
 
     It is the root mean square of differences of displacements, over windows and over
     :data:`LONGER` times as long ones, divided by that. A robot that has no pose until the end has
-    fallen or was stopped, and stands from then on. Headings count by :data:`HEADING_LENGTH`.
+    fallen or was stopped, and stands from then on. Paths without a window that is known at both
+    ends do not differ. Headings count by :data:`HEADING_LENGTH`.
 
     Args:
         simulated: poses of a path after each step, first that at the start, [K + 1, 3].
@@ -58,7 +59,7 @@ def paths_apart(
         known = square[np.isfinite(square)]
         if len(known):
             total.append(np.sqrt(known.mean()) * window / span)
-    return float(np.mean(total))
+    return float(np.mean(total)) if total else 0.0
 
 
 def _standing(paths: NDArray[np.float64]) -> NDArray[np.float64]:

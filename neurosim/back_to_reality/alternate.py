@@ -338,7 +338,7 @@ class Alternation:
         The simulator never agrees fully with reality: controllers that are evolved in the best set
         alone depend on it.
         """
-        rng = np.random.default_rng([self._seed, 0x5E75, *[stream] * (stream > 0)])
+        rng = np.random.default_rng([self._seed, 0x5E75, stream])
         normal = rng.standard_normal((self._settings.sets - 1, len(middle)))
         others = np.clip(middle + self._settings.prior * normal, 0.0, 1.0)
         return np.concatenate([middle[None], others])

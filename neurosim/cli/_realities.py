@@ -68,7 +68,9 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
 
     def add(function: Callable) -> Callable:
         for option in (
-            calibration_option("The calibration.json of --camera."),
+            calibration_option(
+                "The calibration.json of the camera; by-hand: of the one that films."
+            ),
             click.option(
                 "--camera",
                 help=(

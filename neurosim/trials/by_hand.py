@@ -18,6 +18,7 @@ from neurosim.base import se2
 from neurosim.base.declared import checks
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Tracked
+from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import DEFAULT_MARKERS
 from tracking.poses import between
 from tracking.track import track_video
@@ -62,11 +63,15 @@ class ByHand:
             height: Height of the pink marker in front and the blue one behind above the floor, m.
 
         Raises:
-            UserError: if there is a calibration and no task.
+            UserError: if there is a calibration and no task, or it does not know the floor.
+            FileError: if the calibration cannot be read.
         """
         if calibration is not None and task is None:
             raise UserError("films of trials need the task, whose trial they show")
-        self._task, self._calibration, self._height = task, calibration, height
+        self._camera = None if calibration is None else CameraModel.read(calibration)
+        if self._camera is not None and not self._camera.has_board:
+            raise UserError(f"{calibration} has no points on the floor: calibrate the camera there")
+        self._task, self._height = task, height
         self._controller, self._type_in = controller, type_in or answer_to
         unit = "" if task is None else task.fitness_unit
         self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
@@ -86,7 +91,7 @@ class ByHand:
                 fitness = float(self._type_in(asked))
             asked = "A number, please: "
         asked = "Film of this trial (Enter: not filmed): "
-        while self._calibration is not None and (film := self._type_in(asked).strip()):
+        while self._camera is not None and (film := self._type_in(asked).strip()):
             try:
                 return Tracked(fitness, self._path(film))
             except UserError as error:
@@ -100,7 +105,7 @@ class ByHand:
             UserError: if it cannot be tracked.
         """
         colours = DEFAULT_MARKERS["front"]["colour"], DEFAULT_MARKERS["rear"]["colour"]
-        tracked = track_video(film, colours, calibration=self._calibration, height=self._height)
+        tracked = track_video(film, colours, calibration=self._camera, height=self._height)
         moments, *columns = (
             np.array(tracked["poses"][name]) for name in ("time", "x", "y", "theta")
         )

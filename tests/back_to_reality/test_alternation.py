@@ -94,6 +94,9 @@ def test_paths_apart_by_hand():
     # Where it was not seen for a while nothing is compared but what is known on both sides.
     gap = path(real[0], nowhere, real[2])
     assert paths_apart(near, gap[None]) == pytest.approx(two / 2)
+    # A single pose far from the start begins or ends no window that is known.
+    late = np.concatenate([real[:1], np.full((9, 3), np.nan), real[2:]])
+    assert paths_apart(np.zeros((11, 3)), late[None]) == 0.0
     # A robot that fell stands, whether in reality or in the simulator.
     fell = path(real[0], real[1], nowhere)
     stood = path(real[0], real[1], real[1])

@@ -224,10 +224,12 @@ def test_a_film_gives_the_path_of_a_trial_by_hand(tmp_path):
     # Motion is noticed where it is 1 cm, or one frame earlier.
     assert result.poses[-1] == pytest.approx([0.195, 0.0, 0.0], abs=0.01)
     assert result.poses[61] == pytest.approx([0.1, 0.0, 0.0], abs=0.015)
-    without = ByHand(Push(), Walking(1.0), lambda message: "" if "Film" in message else "0.3", "c")
+    without = ByHand(Push(), Walking(1.0), lambda m: "" if "Film" in m else "0.3", calibration)
     assert without.trial(ONE, 0) == 0.3
     with pytest.raises(UserError, match="films of trials need the task"):
         ByHand(Push(), calibration=calibration)
+    with pytest.raises(UserError, match=r"none\.json"):
+        ByHand(Push(), Walking(1.0), calibration=tmp_path / "none.json")
 
 
 def test_several_at_once_get_numbers_of_their_own(tmp_path):

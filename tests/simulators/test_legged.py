@@ -16,8 +16,8 @@ from neurosim.tasks.walking import Walking
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
-from neurosim.simulators.legged.build import Build, compile_model  # noqa: E402
-from neurosim.simulators.legged.physics import Physics, poses_of  # noqa: E402
+from neurosim.simulators.legged.build import Build, ServoBuild, compile_model  # noqa: E402
+from neurosim.simulators.legged.physics import Physics, followed, poses_of  # noqa: E402
 from neurosim.simulators.legged.simulator import PARAMETERS, LeggedSimulator  # noqa: E402
 
 HAND = genes_of(HAND_TUNED)
@@ -36,6 +36,31 @@ def test_the_hand_tuned_gait_walks_forward_at_about_its_ground_speed(simulator):
     end = trajectory.poses[0, 0, -1]
     assert end[0] > 0.3
     assert abs(end[1]) < 0.5 * end[0]
+
+
+def test_servos_lag_and_have_a_largest_speed():
+    """They move half of the remaining angle in a frame, 0.1 rad at most."""
+    commands = np.tile(standing(), (2, 4, 1))
+    commands[..., 0] += 0.3
+    before, half, most = np.tile(standing(), (2, 1)), np.full(2, 0.5), np.array([0.1, np.inf])
+    moved = followed(commands, before, half, most)[..., 0] - standing()[0]
+    assert moved[0] == pytest.approx([0.1, 0.2, 0.25, 0.275])
+    assert moved[1] == pytest.approx([0.15, 0.225, 0.2625, 0.28125])
+
+
+def test_a_state_keeps_the_goals_of_servos():
+    """Steps of one frame end where the whole walk does, but for how the solver begins."""
+    simulator, gait = LeggedSimulator(ServoBuild()), Gait()
+    commands = gait.over(HAND[None], np.arange(40) * 0.008)
+    walked = simulator.physics.walk(simulator.model, np.zeros((1, 3)), commands)
+    state = simulator.start(torch.zeros(1, 3))
+    for frame in range(40):
+        held = np.append(commands[0, frame], 0.008)
+        state = simulator.step(state, torch.from_numpy(held)[None])
+    assert state[0, :3].numpy() == pytest.approx(walked[0, -1], abs=1e-5)
+    fast = LeggedSimulator(ServoBuild(speed=15.0, lag=0.003))
+    ideal = fast.physics.walk(fast.model, np.zeros((1, 3)), commands)
+    assert np.abs(ideal[0, -1] - walked[0, -1]).max() > 1e-3
 
 
 def test_masses_and_inertias_are_those_of_the_build():
