@@ -125,7 +125,7 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(UserError, match="filmed by the lab's own camera: --camera lab"):
         VirtualWalker(Gait(), camera="0")
     for task in (None, Walking(step=0.016)):
-        with pytest.raises(UserError, match="as long as a trial of the task walking with --step"):
+        with pytest.raises(UserError, match=r"use --task walking --step 0\.008"):
             VirtualWalker(Gait(), task=task, camera="lab")
     with pytest.raises(UserError, match="there is no floor 'moon' in the lab; choose from main"):
         VirtualWalker(Gait(), "moon")

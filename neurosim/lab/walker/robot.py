@@ -258,7 +258,8 @@ class VirtualWalker:
             )
         if camera and (task is None or task.episode.step != FRAME):
             raise UserError(
-                f"a film is as long as a trial of the task walking with --step {FRAME:g}: give it"
+                "the walking robot is filmed during the task walking, with a command every "
+                f"{FRAME:g} s; use --task walking --step {FRAME:g}"
             )
         self.controller, self.floor, self._seed = controller, floor, seed
         #: Number of frames of the joints that are filmed.
