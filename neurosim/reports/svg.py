@@ -97,7 +97,8 @@ def to_svg(figure: Figure, label: str, prefix: str) -> str:
     # The page sets these two: the joints of lines, and the fonts.
     text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
-    text = re.sub(r"(\d\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough
+    # A hundredth of a point is enough for places, but not for the labels between the tags.
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d\d)\d+", r"\1", tag[0]), text)
     text = re.sub(r"\s*\n\s*", " ", text)
     for name, colour in INK.items():
         text = text.replace(colour, f"var(--{name})")

@@ -19,6 +19,7 @@ from report_page import Page
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.reports import charts, write_report
+from neurosim.reports.svg import drawing, to_svg
 from tracking.datasets.recordings import Recording
 
 
@@ -329,3 +330,11 @@ def test_importing_the_package_is_quick():
 def test_a_histogram_of_one_value(value):
     svg = charts.histogram(np.full(60, value), "dx", "displacements", "a")
     assert "displacements" in svg
+
+
+def test_labels_of_small_numbers_keep_their_digits():
+    with drawing(4.0, 3.0) as (figure, axes):
+        axes.set_yticks([0.0, 0.005, 0.0125])
+        svg = to_svg(figure, "small", "p")
+    assert {"0.0000", "0.0050", "0.0125"} <= set(re.findall(r">([0-9.]+)<", svg))
+    assert not re.search(r'="[^"]*\d\.\d{3}', svg)
