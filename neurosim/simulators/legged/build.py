@@ -116,7 +116,7 @@ class LeggedBuild(Checked):
         """Return the beginning of the model: units, solver, and properties of all joints."""
         return f"""<compiler angle="radian" autolimits="true"/>
 <option timestep="{self.timestep}" iterations="{self.iterations}" cone="{self.cone}"
- integrator="implicitfast" gravity="0 0 {-self.gravity}"/>
+ jacobian="sparse" integrator="implicitfast" gravity="0 0 {-self.gravity}"/>
 <default><geom contype="0" conaffinity="0"/>
 <joint damping="{self.damping}" armature="{self.armature}"
  frictionloss="{self.joint_friction}"/></default>"""
