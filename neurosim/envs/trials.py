@@ -16,7 +16,7 @@ from neurosim.simulators.sampling import PLACING, Stepper, placed
 from neurosim.tasks.base import EVERY, Interval, Judgement, Rows, Task
 
 #: Number of samples, and of steps of noise, drawn at once: a call takes longer than the numbers.
-BLOCK = 16
+SAMPLES, STEPS = 64, 16
 
 
 class Samples:
@@ -36,14 +36,14 @@ class Samples:
     ):
         self._simulator, self._task = simulator, task
         self._noise, self._placing = noise, placing
-        self._starts = np.zeros((count, BLOCK, 3))
-        self._member = np.full((count, BLOCK), -1)
-        self._seeds = np.zeros((count, BLOCK), np.uint64)
-        self._next = np.full(count, BLOCK)
+        self._starts = np.zeros((count, SAMPLES, 3))
+        self._member = np.full((count, SAMPLES), -1)
+        self._seeds = np.zeros((count, SAMPLES), np.uint64)
+        self._next = np.full(count, SAMPLES)
 
     def forget(self, row: int) -> None:
         """Drop a row's samples, because it has another generator now."""
-        self._next[row] = BLOCK
+        self._next[row] = SAMPLES
 
     def take(
         self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]
@@ -54,20 +54,20 @@ class Samples:
             rows: of the batch.
             rngs: of all rows of the batch.
         """
-        for row in rows[self._next[rows] == BLOCK]:
+        for row in rows[self._next[rows] == SAMPLES]:
             self._draw(row, rngs[row])
         at = self._next[rows]
         self._next[rows] += 1
         return self._starts[rows, at], self._member[rows, at], self._seeds[rows, at]
 
     def _draw(self, row: int, rng: np.random.Generator) -> None:
-        starts, by_task = draw_starts(self._simulator, self._task, BLOCK, rng)
+        starts, by_task = draw_starts(self._simulator, self._task, SAMPLES, rng)
         if self._noise:
             if not by_task:
                 starts = placed(starts, self._placing, rng)
             if self._simulator.members > 1:
-                self._member[row] = rng.integers(self._simulator.members, size=BLOCK)
-            self._seeds[row] = rng.integers(2**64, size=BLOCK, dtype=np.uint64)
+                self._member[row] = rng.integers(self._simulator.members, size=SAMPLES)
+            self._seeds[row] = rng.integers(2**64, size=SAMPLES, dtype=np.uint64)
         self._starts[row], self._next[row] = starts, 0
 
 
@@ -88,31 +88,30 @@ class Noise:
     def begin(self, rows: NDArray[np.int64], seeds: NDArray[np.uint64]) -> NDArray:
         """Begin rows [K] with new seeds [K]; return the noise [K, Z] of their first step."""
         self.seeds[rows], self._steps[rows] = seeds, 0
-        count = BLOCK + 2 - self._now
+        count = STEPS + 2 - self._now
         numbers = self._stepper.noises(seeds, self._steps[rows], count)
-        self._pairs[self._now :, rows] = _pairs(numbers)
+        self._numbers[rows, self._now :] = numbers
         return numbers[:, 0]
 
-    def two(self, rows: Rows) -> NDArray:
-        """Return the noise [K, 2, Z] of rows' present step and of the next."""
-        return self._pairs[self._now, rows]
+    def of(self, rows: Rows) -> tuple[NDArray, int]:
+        """Return noise [K, N, Z] of rows, and which of the N steps is the present; a next is there.
+
+        The noise of all rows is not copied.
+        """
+        if isinstance(rows, slice):
+            return self._numbers[rows], self._now
+        return self._numbers[rows, self._now : self._now + 2], 0
 
     def go_on(self) -> None:
         """Advance all rows by a step."""
         self._steps += 1
         self._now += 1
-        if self._now > BLOCK:
+        if self._now > STEPS:
             self._draw()
 
     def _draw(self) -> None:
-        self._pairs = _pairs(self._stepper.noises(self.seeds, self._steps, BLOCK + 2))
+        self._numbers = self._stepper.noises(self.seeds, self._steps, STEPS + 2)
         self._now = 0
-
-
-def _pairs(numbers: NDArray) -> NDArray:
-    """Return noise [K, N, Z] as pairs of a step and the next, [N - 1, K, 2, Z]."""
-    pairs = np.stack([numbers[:, :-1], numbers[:, 1:]], axis=2)
-    return np.ascontiguousarray(pairs.swapaxes(0, 1))
 
 
 class Trials:
@@ -216,14 +215,14 @@ class Trials:
     def _go_on(
         self, rows: Rows, commands: NDArray[np.float64], duration: float, active: bool
     ) -> None:
-        noises = None if self._noise is None else self._noise.two(rows)
+        noises, at = (None, 0) if self._noise is None else self._noise.of(rows)
         readings = None if self._readings is None else self._readings[rows]
         self._steps[rows] += 1
         if self.face.reads:
-            after, seen = self._stepper.step_and_sense(self.state[rows], commands, noises)
+            after, seen = self._stepper.step_and_sense(self.state[rows], commands, noises, at)
             self._readings = self._kept(self._readings, rows, seen)
         else:
-            noise = None if noises is None else noises[:, 0]
+            noise = None if noises is None else noises[:, at]
             after = self._stepper.step(self.state[rows], commands, noise)
         self.state = self._kept(self.state, rows, after)
         poses, touching = after[:, :3], None

@@ -52,6 +52,7 @@ class Pilot(NamedTuple):
     step: float
     steps: int
     rest: float
+    drawn: int = 0  #: number of steps whose noise comes before that of the first
 
 
 def open_loop(commands: np.ndarray, given: np.ndarray, reads: int) -> Pilot:

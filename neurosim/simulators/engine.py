@@ -152,7 +152,7 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
         genes: [P, G] of networks.
         begun: [1 or P, R, S] first states of the robots, for all individuals or for each.
         z: [1 or P, T, R, Z] float32, the noise of every step; T = 0: none. The readings before step
-            k use the k-th, the n-th given command the n-th.
+            k use the k-th, the n-th given command the n-th, both after ``pilot.drawn`` others.
         first, last: the driven groups, from the first to before the last; or those among which it
             takes free ones.
         room: :class:`Room`.
@@ -181,7 +181,7 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
             for i in range(width):
                 here[r, i] = begun[own, n + r, i]
         values[:] = 0.0
-        goal, sent = 0, 0
+        goal, sent = 0, pilot.drawn
         for k in range(pilot.length):
             if posed:
                 for r in range(len(here)):
@@ -189,7 +189,7 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
                         poses[p, n + r, k, i] = here[r, i]
             if k >= pilot.reads:
                 for r in range(len(here)):
-                    noise_here = z[numbers, k, n + r] if noisy else room.no_noise
+                    noise_here = z[numbers, pilot.drawn + k, n + r] if noisy else room.no_noise
                     _sense(model, here[r], noise_here, room.work, seen)
                     if kept:
                         for i in range(len(seen)):
@@ -381,10 +381,14 @@ class CompiledStepper(Stepper):
         return self._drive(pilot, state, None if noise is None else noise[:, None])[1]
 
     def step_and_sense(
-        self, state: NDArray[np.float64], command: NDArray[np.float64], noises: NDArray | None
+        self,
+        state: NDArray[np.float64],
+        command: NDArray[np.float64],
+        noises: NDArray | None,
+        at: int = 0,
     ) -> tuple[NDArray[np.float64], NDArray]:
         """Return the states [B, S] after commands [B, C], and their readings [B, R], float32."""
-        return self._drive(self._plan(command, 2), state, noises)
+        return self._drive(self._plan(command, 2)._replace(drawn=at), state, noises)
 
     def _plan(self, command: NDArray[np.float64], steps: int) -> Pilot:
         """Return a plan of a command; sensors are read before the null command that may follow."""

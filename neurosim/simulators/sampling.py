@@ -66,16 +66,20 @@ class Stepper:
         return self._ask(self.simulator.sense, noise, state)
 
     def step_and_sense(
-        self, state: NDArray[np.float64], command: NDArray[np.float64], noises: NDArray | None
+        self,
+        state: NDArray[np.float64],
+        command: NDArray[np.float64],
+        noises: NDArray | None,
+        at: int = 0,
     ) -> tuple[NDArray[np.float64], NDArray]:
         """Return the states [B, S] after commands [B, C], and their readings [B, R].
 
         Args:
             state, command: as in :meth:`step`.
-            noises: [B, 2, Z] of :meth:`noises`: of this step and the next, which is also that of
-                the readings; or None.
+            noises: [B, N, Z] of :meth:`noises`, or None.
+            at: which of the N steps this is; the noise of the next is also that of the readings.
         """
-        now, after = (None, None) if noises is None else (noises[:, 0], noises[:, 1])
+        now, after = (None, None) if noises is None else (noises[:, at], noises[:, at + 1])
         state = self.step(state, command, now)
         return state, self.sense(state, after)
 
