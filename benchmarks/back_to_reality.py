@@ -44,6 +44,7 @@ from neurosim.evolution.cma import CMA
 from neurosim.evolution.policy_gradient import PolicyGradient, PolicySettings
 from neurosim.evolution.space import SearchSpace
 from neurosim.lab.walker import FLOORS, VirtualWalker
+from neurosim.lab.walker.robot import RADIUS
 from neurosim.simulators.legged.build import Build, ServoBuild
 from neurosim.simulators.legged.simulator import LeggedSimulator
 from neurosim.tasks.walking import Walking
@@ -101,7 +102,8 @@ class Job:
 
     def __init__(self, method: str, floor: str, seed: int, size: dict[str, Any], folder: Path):
         self.seed, self.size, self.budget = seed, size, size["budget"]
-        task, build = Walking(size["seconds"]), ServoBuild() if method in SERVOS else Build()
+        task = Walking(size["seconds"], circle=size.get("circle", 0.0))
+        build = ServoBuild() if method in SERVOS else Build()
         self.simulated = Remembering(LeggedSimulator(build), task, Gait())
         walker = VirtualWalker(Gait(), floor, seed, task, "lab" if method == FILMED else None)
         self.trials = Journal(walker, folder / "trials.jsonl")
@@ -420,6 +422,8 @@ def main() -> None:
         METHODS[name] = lambda job: job.alternate("better", **changes)
         options.methods = [BETTER, name]
     size = {"seconds": 5.0, "generations": 120, "adapt_generations": 20, "budget": options.budget}
+    if options.servos:
+        size |= {"seconds": 20.0, "circle": RADIUS}
     if options.paper:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:

@@ -79,6 +79,8 @@ METHODS = (
 class Roots(Walking):
     """Walking whose fitness is the square root of the displacement in pixels."""
 
+    circle: float = 0.0
+
     def worth(self, record: Array) -> Judgement:
         """Return square roots of displacements."""
         judged = super().worth(record)

@@ -26,6 +26,8 @@ HEADING_LENGTH = 0.3
 #: Displacements that are compared: over this time, or a step if that is longer, and over as many
 #: times as long; s. And the number of them that begin within the shorter one.
 WINDOW, LONGER, OVERLAP = 0.25, 4, 8
+#: Paths are compared up to this fraction of the radius of the circle where a trial ends.
+NEAR = 0.95
 
 
 def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -34,21 +36,26 @@ def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> ND
 
 
 def paths_apart(
-    simulated: NDArray[np.float64], real: NDArray[np.float64], window: int = 1
+    simulated: NDArray[np.float64],
+    real: NDArray[np.float64],
+    window: int = 1,
+    circle: float = 0.0,
 ) -> float:
     """Return how far a simulated path is from real ones of the same controller, m in a window.
 
     It is the root mean square of differences of displacements, over windows and over
     :data:`LONGER` times as long ones, divided by that. A robot that has no pose until the end has
-    fallen or was stopped, and stands from then on. Paths without a window that is known at both
-    ends do not differ. Headings count by :data:`HEADING_LENGTH`.
+    fallen or was stopped, and stands from then on; but a path that has come near the circle where a
+    trial ends is unknown from there on. Paths without a window that is known at both ends do not
+    differ. Headings count by :data:`HEADING_LENGTH`.
 
     Args:
         simulated: poses of a path after each step, first that at the start, [K + 1, 3].
         real: those of R paths, [R, K + 1, 3]; NaN: not seen.
         window: number of steps of a window.
+        circle: radius of that circle around the start, m; 0: there is none.
     """
-    simulated, real = _standing(simulated[None]), _standing(real)
+    simulated, real = _until(simulated[None], circle), _until(real, circle)
     total = []
     for span in {min(window, len(simulated[0]) - 1), min(LONGER * window, len(simulated[0]) - 1)}:
         first = np.arange(0, simulated.shape[1] - span, max(window // OVERLAP, 1))
@@ -62,13 +69,18 @@ def paths_apart(
     return float(np.mean(total)) if total else 0.0
 
 
-def _standing(paths: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return paths [R, K, 3] whose last pose remains until the end."""
+def _until(paths: NDArray[np.float64], circle: float) -> NDArray[np.float64]:
+    """Return paths [R, K, 3] whose last pose remains until the end, up to :data:`NEAR` a circle."""
     seen = np.asarray(np.isfinite(paths).all(axis=-1))
     last = paths.shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
     after = np.arange(paths.shape[1]) > last[:, None]
     rest = np.take_along_axis(paths, last[:, None, None], axis=1)
-    return np.where(after[..., None], rest, paths)
+    paths = np.where(after[..., None], rest, paths)
+    if not circle:
+        return paths
+    away = np.nan_to_num(np.linalg.norm(paths[..., :2] - paths[:, :1, :2], axis=-1), nan=0.0)
+    arrived = np.logical_or.accumulate(away >= NEAR * circle, axis=1)
+    return np.where(arrived[..., None], np.nan, paths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,13 +109,14 @@ class Compared:
             return discrepancy(self.simulated.over(self.genes, sets), self.fitness)
         seen = [paths[np.isfinite(paths).any(axis=(1, 2))] for paths in self.poses]
         tracked = [place for place, paths in enumerate(seen) if len(paths)]
-        window, result = self.simulated.steps_in(WINDOW), []
+        window, circle = self.simulated.steps_in(WINDOW), self.simulated.circle
+        result = []
         for one in sets:
             paths, each = self.simulated.poses(self.genes[tracked], one), []
             for path, place in zip(paths, tracked, strict=True):
                 start = np.broadcast_to(path[0], (len(seen[place]), 1, 3))
                 real = np.concatenate([start, seen[place]], axis=1)
-                each.append(paths_apart(path, real, window))
+                each.append(paths_apart(path, real, window, circle))
             result.append(np.mean(each))
         return np.array(result)
 

@@ -43,8 +43,7 @@ class Adaptation:
         genes: [G] the best individual, as fractions of the controller's range of genes.
         fitness: its mean fitness in reality.
         start: mean fitness in reality of the first controller.
-        sets: [S, K] the parameter sets that controllers were evolved over last, fractions of their
-            ranges: the simulator itself, adapted by L3 if that ran, and random sets around it.
+        parameters: [K] of the simulator, fractions of their ranges; adapted by L3 if that ran.
         evaluations: used in reality.
         trials: used in reality.
         record: every evaluation in reality, in their order.
@@ -54,7 +53,7 @@ class Adaptation:
     genes: NDArray[np.float64]
     fitness: float
     start: float
-    sets: NDArray[np.float64]
+    parameters: NDArray[np.float64]
     evaluations: float
     trials: int
     record: Evaluations
@@ -109,7 +108,7 @@ class Alternation:
         self._save, self._progress = save, progress
         self._scalars = scalars or Scalars(None)
         self._record = Evaluations()
-        self._sets = self._around(simulated.as_is, 0)
+        self._now = simulated.as_is  # [K] the simulator's parameters
         self.cycles: list[dict[str, Any]] = []
         #: The first parameter set [K] before and after L3 of a cycle.
         self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
@@ -127,7 +126,7 @@ class Alternation:
             last = cycle == settings.cycles
             if self._room() <= settings.spared:
                 break
-            self.cycles.append({"parameters": self._named(self._sets[0])})
+            self.cycles.append({"parameters": self._named(self._now)})
             candidates = self._search(cycle, best)
             genes, real = self._candidates(cycle, candidates)
             self._confirm()
@@ -142,7 +141,7 @@ class Alternation:
                 best = self._believed().genes
         start, believed = self._record.latest()[0], self._believed()
         return Adaptation(
-            believed.genes, believed.fitness, start.fitness, self._sets, self._journal.evaluations,
+            believed.genes, believed.fitness, start.fitness, self._now, self._journal.evaluations,
             self._journal.used, self._record, self.cycles,
         )  # fmt: skip
 
@@ -188,10 +187,10 @@ class Alternation:
 
     def _search(self, cycle: int, start: NDArray[np.float64]) -> Climb:
         """Evolve controllers in the simulator, from mutations of one."""
-        settings, sets = self._settings, self._sets
+        settings = self._settings
 
         def evaluate(genes: NDArray[np.float64]) -> NDArray[np.float64]:
-            each = self._simulated.over(genes, sets)
+            each = self._simulated.over(genes, self._around(self._now, cycle, climb.done))
             return each.mean(axis=0) - settings.caution * each.std(axis=0)
 
         total = settings.generations
@@ -199,7 +198,7 @@ class Alternation:
             total = settings.later_generations
         climb = Climb(self._controllers(cycle, start), evaluate)
         label = f"cycle {cycle + 1}: controllers in the simulator (L1)"
-        self._climb(climb, f"{cycle}.L1", total, label, len(sets))
+        self._climb(climb, f"{cycle}.L1", total, label, settings.sets)
         self.cycles[cycle]["L1"] = climb.history()
         return climb
 
@@ -279,7 +278,7 @@ class Alternation:
             return np.empty((0, self._simulated.genes)), np.empty(0)
         genes = np.stack(chosen)
         real = self._try(genes, f"cycle {cycle + 1}, L1")
-        simulated = self._simulated.fitness(genes, self._sets[0])
+        simulated = self._simulated.fitness(genes, self._now)
         works = np.abs(simulated - real) <= 0.25 * np.maximum(real, simulated)
         self.cycles[cycle]["transfer"] = {
             "simulated": simulated.tolist(),
@@ -299,7 +298,7 @@ class Alternation:
         """
         settings, left_out = self._settings, None
         if settings.compare == "similar":
-            fitness = self._simulated.fitness(genes, self._sets[0])
+            fitness = self._simulated.fitness(genes, self._now)
             chosen = similar(fitness, real, settings.compared)
             left_out = np.delete(genes, chosen, axis=0), np.delete(real, chosen)
             genes, real = genes[chosen], real[chosen]
@@ -312,12 +311,11 @@ class Alternation:
         ten = self._compared(genes, real)
         if settings.compare == "tracked" and ten.poses is None:
             return
-        climb = Climb(self._parameters(cycle, self._sets[0]), lambda sets: -ten.discrepancy(sets))
+        climb = Climb(self._parameters(cycle, self._now), lambda sets: -ten.discrepancy(sets))
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
-        before = self._sets[0]
-        after = best_set(ten, climb, before)
-        self._sets = self._around(after, cycle + 1)
+        before = self._now
+        self._now = after = best_set(ten, climb, before)
         self._adapted[cycle] = before, after
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
@@ -326,19 +324,21 @@ class Alternation:
                 **self._agreement(cycle, ten.genes, ten.fitness),
                 "real": ten.fitness.tolist(),
                 "simulated_before": self._simulated.fitness(ten.genes, before).tolist(),
-                "simulated_after": self._simulated.fitness(ten.genes, self._sets[0]).tolist(),
+                "simulated_after": self._simulated.fitness(ten.genes, after).tolist(),
             },
         }
         if left_out is not None and len(left_out[0]):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)
 
-    def _around(self, middle: NDArray[np.float64], stream: int) -> NDArray[np.float64]:
-        """Return a parameter set [K] and random ones around it, [S, K].
+    def _around(
+        self, middle: NDArray[np.float64], cycle: int, generation: int
+    ) -> NDArray[np.float64]:
+        """Return a parameter set [K] and random ones around it, [S, K], others each generation.
 
         The simulator never agrees fully with reality: controllers that are evolved in the best set
-        alone depend on it.
+        alone, or in the same few sets, depend on these.
         """
-        rng = np.random.default_rng([self._seed, 0x5E75, stream])
+        rng = np.random.default_rng([self._seed, 0x5E75, cycle, generation])
         normal = rng.standard_normal((self._settings.sets - 1, len(middle)))
         others = np.clip(middle + self._settings.prior * normal, 0.0, 1.0)
         return np.concatenate([middle[None], others])

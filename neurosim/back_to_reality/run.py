@@ -205,7 +205,7 @@ def back_to_reality(
         content = _content(result, simulated, begun, task, controller)
         with files.new_folder(out) as partial:
             shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
-            kept = write_simulator(simulated.adjusted(result.sets[0]), partial / "simulator")
+            kept = write_simulator(simulated.adjusted(result.parameters), partial / "simulator")
             saved = _controller(result, simulated, task, controller, content, kept)
             if saved.kind != "plan" or saved.given:
                 saved.write(partial / "controller")
@@ -263,7 +263,7 @@ def _controller(
 ) -> SavedController:
     """Return the best controller as it is saved, with the adapted simulator's prediction."""
     genes = simulated.real_genes(result.genes)
-    evaluator = Evaluator(simulated.adjusted(result.sets[0]), task, controller)
+    evaluator = Evaluator(simulated.adjusted(result.parameters), task, controller)
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
     fitness = float(judged.fitness[0].mean())

@@ -30,8 +30,8 @@ class BackToRealitySettings(Checked):
         later_generations: Generations of each later L1; 0: as many as of the first.
         genetic: the genetic algorithm of L1; others take its population size.
         spread: Spread of the first population in L1, as a fraction of the ranges; not for ga.
-        sets: Number of parameter sets of the simulator; controllers are evolved over all of them.
-            The paper has 1.
+        sets: Number of parameter sets of the simulator that each generation of L1 is judged in: the
+            simulator itself, and random ones. The paper has 1.
         prior: Standard deviation of random parameter sets around the given or the adapted
             simulator, as a fraction of the ranges.
         caution: Number of standard deviations that are subtracted from the mean fitness over

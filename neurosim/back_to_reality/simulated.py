@@ -26,6 +26,7 @@ class Simulated:
         genes: number of genes of an individual.
         as_is: [K] fractions of the parameters before anything was adjusted.
         steps: number of steps of a trial; there is a pose after each.
+        circle: distance from the start at which a trial ends, m; 0: it does not.
         tried: number of simulated trials.
     """
 
@@ -42,7 +43,7 @@ class Simulated:
             )
         self._simulator, self._task, self._controller = simulator, task, controller
         self.parameters: tuple[Adjustable, ...] = tuple(simulator.parameters)
-        self.genes = controller.genes
+        self.genes, self.circle = controller.genes, task.episode.circle
         self.as_is = np.array([one.fraction(one.value) for one in self.parameters])
         self.tried = 0
         self.steps = self._evaluator(self.as_is).steps  # raises an error if they do not fit

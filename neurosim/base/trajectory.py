@@ -157,6 +157,7 @@ class Episode:
         reach: distance within which a goal counts as reached, and the next one follows, m.
         readings: whether the fitness needs the sensors' readings.
         contacts: whether the fitness needs the times at which the robot touches something.
+        circle: distance from the start at which a trial ends, m; 0: it does not.
 
     Example:
         >>> ns.Episode(step=0.1, steps=50).steps
@@ -170,6 +171,7 @@ class Episode:
     reach: float = 0.05
     readings: bool = False
     contacts: bool = False
+    circle: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

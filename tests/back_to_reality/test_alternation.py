@@ -105,6 +105,18 @@ def test_paths_apart_by_hand():
     assert paths_apart(fell, fell[None]) == 0.0
 
 
+def test_paths_are_compared_up_to_the_circle():
+    """One ends at 2 m, and the other goes on; before that, they are 0.1 m apart a second."""
+    real = np.zeros((41, 3))
+    real[:, 0] = np.linspace(0.0, 4.0, 41)
+    near = real * [0.9, 1.0, 1.0]
+    real[21:] = np.nan
+    assert paths_apart(near, real[None], 1, 2.0) == pytest.approx(0.01)
+    assert paths_apart(near, real[None], 1) > 0.04  # as if it had fallen there
+    fell = np.where(np.arange(41)[:, None] > 9, np.nan, real)
+    assert paths_apart(near, fell[None], 1, 2.0) > 0.04
+
+
 def test_windows_of_paths_count_by_their_length():
     """Twice the speed: 1 m in windows of 10 steps, and 4 m, divided by four, in those of 40."""
     slow = np.zeros((101, 3))
@@ -146,19 +158,21 @@ def bits(fractions):
 
 def test_controllers_are_evolved_over_all_sets_with_caution(tmp_path):
     asked, _, parameters = remembered(tmp_path, sets=3, caution=2.0, prior=0.1, adapt="none")
-    expected = []
+    expected, others = [], set()
     for _, sets, fitness in asked:
-        np.testing.assert_array_equal(sets, parameters.sets)
+        assert sets.shape == (3, 2)
+        np.testing.assert_array_equal(sets[0], simulated().as_is)
+        others.add(sets[1:].tobytes())
         expected.append((fitness.mean(axis=0) - 2.0 * fitness.std(axis=0)).max())
-    assert parameters.sets.shape == (3, 2)
-    np.testing.assert_array_equal(parameters.sets[0], simulated().as_is)
+    assert len(others) == len(asked) > 1  # a generation cannot depend on those of another
     each = [best for cycle in parameters.cycles for best in cycle["L1"]["best"]]
     assert each == pytest.approx(expected)
 
 
-def test_the_first_sets_are_spread_by_the_prior(tmp_path):
-    *_, parameters = remembered(tmp_path, sets=300, prior=0.02, adapt="none", generations=1)
-    assert (parameters.sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
+def test_the_sets_are_spread_by_the_prior(tmp_path):
+    asked, *_ = remembered(tmp_path, sets=300, prior=0.02, adapt="none", generations=1)
+    sets = asked[0][1]
+    assert (sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
 def test_later_searches_begin_at_the_best_in_reality_and_have_their_own_length(tmp_path):
@@ -305,7 +319,7 @@ def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
     run_result = alternation(tmp_path / "trials.jsonl", settings).run()
     assert len(run_result.cycles) == 2
     assert not any("L3" in cycle for cycle in run_result.cycles)
-    assert (run_result.sets == simulated().as_is).all()
+    assert (run_result.parameters == simulated().as_is).all()
 
 
 def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
@@ -347,18 +361,23 @@ def test_it_finds_the_parameters_of_reality_and_a_better_controller(tmp_path, se
     assert len(read_trials(tmp_path / "trials.jsonl")) == run_result.trials
 
 
-def test_our_choices_keep_several_sets_and_confirm_finalists(tmp_path):
+def test_our_choices_take_several_sets_and_confirm_finalists(tmp_path, monkeypatch):
     pytest.importorskip("cma")
     settings = settings_named(
         "better", cycles=2, generations=6, later_generations=4, candidates=5,
         compare="recent", adapt_generations=5,
     )  # fmt: skip
+    seen, over = [], Simulated.over
+    monkeypatch.setattr(
+        Simulated, "over", lambda self, genes, sets: [seen.append(sets), over(self, genes, sets)][1]
+    )
     run_result = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert run_result.sets.shape == (settings.sets, 2) == (6, 2)
-    # Around what L3 came to, and other ones than around the given simulator.
+    last = [sets for sets in seen if len(sets) == settings.sets == 6][-1]
+    # Around what L3 came to.
     adapted = run_result.cycles[1]["L3"]["parameters"][0]
-    assert simulated().values(run_result.sets[0]) == pytest.approx(list(adapted.values()))
-    apart = np.abs(run_result.sets[1:] - run_result.sets[0])
+    assert simulated().values(last[0]) == pytest.approx(list(adapted.values()))
+    assert simulated().values(run_result.parameters) == pytest.approx(list(adapted.values()))
+    apart = np.abs(last[1:] - last[0])
     assert apart.min() > 0.0
     assert apart.max() < 4.0 * settings.prior
     whys = [row["why"] for row in read_trials(tmp_path / "trials.jsonl")]
@@ -423,7 +442,7 @@ def test_the_budget_is_kept(tmp_path):
 def test_without_adapting_the_simulator_stays_as_it_is(tmp_path):
     settings = settings_named("paper", **SMALL | {"adapt": "none"})
     run_result = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert (run_result.sets == simulated().as_is).all()
+    assert (run_result.parameters == simulated().as_is).all()
 
 
 @pytest.mark.parametrize("name", ["ga", "cma", "own"])
@@ -505,7 +524,7 @@ def test_an_interruption_changes_nothing_where_noisy_trials_are_tracked(tmp_path
     again, _ = run(tmp_path / "cut.jsonl", Noisy(), states[-1])
     assert again.cycles == whole.cycles
     assert again.genes.tolist() == whole.genes.tolist()
-    np.testing.assert_array_equal(again.sets, whole.sets)
+    np.testing.assert_array_equal(again.parameters, whole.parameters)
 
 
 def test_ctrl_c_between_generations_saves_and_stops(tmp_path, monkeypatch):

@@ -213,6 +213,31 @@ def test_walking_is_displacement_by_time_and_a_stall_is_a_failure():
     assert Walking.reasons[judged.reason[1]] == "did not walk"
 
 
+def test_a_trial_ends_at_the_circle(simulator):
+    """Two robots at 0.5 m/s: one falls after a second, the other reaches the circle at 1.2 s."""
+    poses = np.zeros((2, 251, 3))
+    poses[:, :, 0] = np.linspace(0, 1, 251)
+    poses[0, 126:] = poses[1, 200:] = np.nan
+    judged = Walking(2.0, circle=0.6).judge(Trajectory(poses, np.zeros((2, 250, 12)), 0.008))
+    assert judged.fitness == pytest.approx([0.0, 0.5])
+    assert judged.success.tolist() == [False, True]
+    assert judged.segment.tolist() == [125, 149]
+    assert judged.over.all()
+    assert judged.progress == pytest.approx([0.0, 0.5])
+    # In the simulator the robot stands there from then on; up to there nothing else changes.
+    whole, ended = (
+        Evaluator(simulator, Walking(4.0, circle=circle), Gait()) for circle in (0.0, 0.2)
+    )
+    (far,), (near,) = (one.run(HAND[None], one.expectation()).poses[0] for one in (whole, ended))
+    away = np.hypot(far[:, 0], far[:, 1])
+    first = int((away >= 0.2).argmax())
+    assert 0 < first < 499
+    np.testing.assert_array_equal(near[: first + 1], far[: first + 1])
+    assert (near[first:] == near[first]).all()
+    fitness = ended.judge(HAND[None], ended.expectation())[0].fitness[0, 0]
+    assert fitness == pytest.approx(0.2 / (0.008 * first))
+
+
 def test_parameters_out_of_bounds_are_refused(simulator):
     values = np.array([one.value for one in simulator.parameters])
     values[PARAMETERS.index("friction")] = 3.0

@@ -34,6 +34,7 @@ TASKS = {
     ),
     "follow-line": lambda: ns.make_task("follow-line", seconds=4.0, laps=0.1, within=0.2),
     "walking": lambda: ns.make_task("walking", seconds=1.0),
+    "walking, to a circle": lambda: ns.make_task("walking", seconds=1.0, circle=0.3),
 }
 
 

@@ -37,7 +37,7 @@ def film(
     The robot carries the two markers of the lab's NXT on its back. The film ends with the path.
 
     Args:
-        path: [T + 1 or more, 3] m, m, rad; NaN from a fall on.
+        path: [any, 3] m, m, rad; NaN from a fall on.
         step: between its poses, s.
         steps: T.
         seed: of the camera, and of the film.
@@ -65,5 +65,5 @@ def film(
     begun = camera.clock_at(begin) + LATE * rng.standard_normal()
     moments, front, rear = (np.array(part) for part in zip(*seen, strict=True))
     poses = marker_poses(front, rear, DEFAULT_MARKERS, optics)
-    tracked = between(moments - begun, poses, times[: steps + 1])
+    tracked = between(moments - begun, poses, np.arange(steps + 1) * step)
     return np.round(se2.between(tracked[0], tracked[1:]), 5)

@@ -7,8 +7,8 @@ trials. Backlash, dry friction in the joints, and servos with a lag and a larges
 parameters of :class:`~neurosim.simulators.legged.build.ServoBuild` alone.
 
 The trial is the paper's (Zagal et al. 2004, section 5.2): the robot starts in the middle of a
-circle with a radius of 200 cm, and is stopped where it crosses the circle; its fitness is the
-radius divided by the time. After a fall, or too much time, the fitness is 0.
+circle with a radius of 200 cm, or the task's, and is stopped where it crosses the circle; its
+fitness is the radius divided by the time. After a fall, or too much time, the fitness is 0.
 
 The constants were fixed before anything was tuned. Settings are tuned on ``main``, never on the
 others; ``tiles`` and ``lawn`` were drawn.
@@ -33,7 +33,7 @@ from neurosim.simulators.legged.physics import Physics
 
 #: Radius of the circle, m, and the longest trial, s.
 RADIUS, LONGEST = 2.0, 60.0
-#: A film lasts longer than the task's trial by this, s.
+#: A film lasts longer than the trial by this, s.
 MORE = 0.1
 
 
@@ -232,8 +232,8 @@ class VirtualWalker:
             floor: The floor: main, carpet, parquet, tiles or lawn.
             seed: Random seed of the noise from trial to trial.
             task: the task walking, or None.
-            camera: lab: a camera films the robot for the time of the task's trial, and each result
-                has the tracked path; None: it has a fitness only.
+            camera: lab: a camera films the robot until the circle, or for the time of the task's
+                trial, and each result has the tracked path; None: it has a fitness only.
 
         Raises:
             UserError: if the floor is unknown, the controller or the task is of another kind, the
@@ -266,6 +266,7 @@ class VirtualWalker:
         self._filmed = 0
         if camera is not None and task is not None:
             self._filmed = task.episode.steps
+        self._radius = (task.episode.circle if task is not None else 0.0) or RADIUS
         self._ground = FLOORS[floor]
         self._build = replace(self._ground.build, bumps=_bumps(self._ground))
         self._physics = Physics(compile_model(self._build))
@@ -305,17 +306,20 @@ class VirtualWalker:
                 speed=self._build.speed * left,
             )
             models.append(compile_model(build))
-        filmed = self._filmed + round(MORE / FRAME) if self._filmed else 0
-        poses = self._physics.walk(models, starts, commands, RADIUS, filmed)
+        poses = self._physics.walk(models, starts, commands, self._radius)
         away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
-        crossed = np.nan_to_num(away, nan=0.0) >= RADIUS
-        first = crossed.argmax(axis=1)
+        crossed = np.nan_to_num(away, nan=0.0) >= self._radius
+        first = np.where(crossed.any(axis=1), crossed.argmax(axis=1), len(times))
         elapsed = np.maximum(first * FRAME + clocks, FRAME)
-        fitness = np.where(crossed.any(axis=1), RADIUS / elapsed, 0.0)
+        fitness = np.where(crossed.any(axis=1), self._radius / elapsed, 0.0)
         if not self._filmed:
             return fitness
-        films = zip(poses[:, : filmed + 1], numbers.tolist(), strict=True)
-        paths = [film(path, FRAME, self._filmed, (self._seed, n)) for path, n in films]
+        more = round(MORE / FRAME)
+        films = zip(poses, np.minimum(first, self._filmed).tolist(), numbers.tolist(), strict=True)
+        paths = [
+            film(path[: end + more + 1], FRAME, self._filmed, (self._seed, n))
+            for path, end, n in films
+        ]
         return [Tracked(*each) for each in zip(fitness.tolist(), paths, strict=True)]
 
 

@@ -127,7 +127,6 @@ class Physics:
         starts: NDArray[np.float64],
         commands: NDArray[np.float64],
         reach: float | None = None,
-        least: int = 0,
     ) -> NDArray[np.float64]:
         """Return the poses [B, T + 1, 3] of robots; NaN from a fall on.
 
@@ -135,9 +134,8 @@ class Physics:
             models: one for all or one for each.
             starts: [B, 3] first poses (m, m, rad).
             commands: [B, T, joints] angles, rad.
-            reach: a trial ends, with NaN from the next chunk on, when the robot is this far from
-                its start, m,
-            least: and at least this many frames have passed.
+            reach: a trial ends when the robot is this far from its start, m; from then on it
+                stands.
         """
         rows, frames = commands.shape[:2]
         poses = np.full((rows, frames + 1, 3), np.nan)
@@ -152,16 +150,28 @@ class Physics:
             states[going] = walked[:, -1]
             poses[going, first + 1 : part.stop + 1] = seen
             over = np.isnan(seen[:, -1, 0])
-            if reach is not None and part.stop >= least:
-                away = np.linalg.norm(seen[..., :2] - starts[going, None, :2], axis=-1)
-                over |= (away >= reach).any(axis=1)
+            if reach is not None:
+                over |= _arrived(seen, starts[going], reach).any(axis=1)
             going = going[~over]
             if not len(going):
                 break
-        return poses
+        if reach is None:
+            return poses
+        arrived = _arrived(poses, starts, reach)
+        last = np.where(arrived.any(axis=1), arrived.argmax(axis=1), frames)
+        kept = np.minimum(np.arange(frames + 1), last[:, None])
+        return np.take_along_axis(poses, kept[..., None], axis=1)
 
     def __getstate__(self) -> None:
         raise TypeError("threads cannot be copied")
+
+
+def _arrived(
+    poses: NDArray[np.float64], starts: NDArray[np.float64], reach: float
+) -> NDArray[np.bool_]:
+    """Return whether poses [B, T, 3] are at least ``reach`` (m) from starts [B, 3], [B, T]."""
+    away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
+    return np.asarray(np.nan_to_num(away, nan=0.0) >= reach)
 
 
 def _servo(model: Any) -> tuple[float, float] | None:

@@ -194,6 +194,7 @@ class _OpenLoop:
 
     def __init__(self, simulator: LeggedSimulator, controller: Any, episode: Episode):
         self._simulator, self._controller = simulator, controller
+        self._circle = episode.circle or None
         self._times = np.arange(episode.steps) * episode.step
 
     def draw(
@@ -212,6 +213,7 @@ class _OpenLoop:
             simulator.model,
             np.tile(draws.starts, (len(genes), 1)),
             np.repeat(commands, samples, axis=0),
+            self._circle,
         )
         shape = (len(genes), samples)
         given = np.broadcast_to(commands[:, None], (*shape, *commands.shape[1:]))
