@@ -35,6 +35,11 @@ from neurosim.loop.journal import Journal
 from neurosim.loop.search import part_of
 
 
+#: How far random parameter sets are from a simulator that L3 has adapted, as a part of their
+#: distance before.
+ADAPTED = 0.5
+
+
 @dataclass
 class Adaptation:
     """The result of a run.
@@ -340,7 +345,8 @@ class Alternation:
         """
         rng = np.random.default_rng([self._seed, 0x5E75, cycle, generation])
         normal = rng.standard_normal((self._settings.sets - 1, len(middle)))
-        others = np.clip(middle + self._settings.prior * normal, 0.0, 1.0)
+        spread = self._settings.prior * (ADAPTED if self._adapted else 1.0)
+        others = np.clip(middle + spread * normal, 0.0, 1.0)
         return np.concatenate([middle[None], others])
 
     def _agreement(

@@ -32,8 +32,8 @@ class BackToRealitySettings(Checked):
         spread: Spread of the first population in L1, as a fraction of the ranges; not for ga.
         sets: Number of parameter sets of the simulator that each generation of L1 is judged in: the
             simulator itself, and random ones. The paper has 1.
-        prior: Standard deviation of random parameter sets around the given or the adapted
-            simulator, as a fraction of the ranges.
+        prior: Standard deviation of random parameter sets around the given simulator, as a fraction
+            of the ranges; half as much around an adapted one.
         caution: Number of standard deviations that are subtracted from the mean fitness over
             several sets.
         candidates: Number of L1's best controllers that are tried in reality in each cycle.
@@ -98,6 +98,7 @@ BETTER: dict[str, Any] = {
     "later_generations": 20,
     "spread": 0.1,
     "sets": 6,
+    "prior": 0.1,
     "caution": 1.0,
     "candidates": 16,
     "adapt": "cma",

@@ -7,7 +7,7 @@ end at the circle: a gait that turns, or falls after some seconds, fails in both
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from msgspec import Meta
@@ -46,6 +46,10 @@ class Walking(Task):
         """Commands in frames, of 8 ms by default."""
         steps = round(self.seconds / self.step)
         return Episode(step=self.step, steps=steps, circle=self.circle)
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return the circle."""
+        return [{"circle": [*self.start[:2], self.circle]}] if self.circle else []
 
     def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the records [K, 9]: the usual columns, and the time at the circle (s; 0: none)."""

@@ -35,9 +35,7 @@ SHORTER = {
         "range(5)": "range(1)",
     },
     "back_to_reality": {
-        "simulated = Simulated(LeggedSimulator(), Walking(seconds=4.0), gait)": (
-            "simulated = Simulated(LeggedSimulator(), Walking(seconds=1.0), gait)"
-        ),
+        "gait, task = Gait(), Walking()": "gait, task = Gait(), Walking(seconds=1.0)",
         "standard_normal((24, gait.genes))": "standard_normal((6, gait.genes))",
         "    generations=10,\n    later_generations=8,\n    candidates=10,": (
             "    generations=3,\n    later_generations=3,\n    candidates=4,"
