@@ -34,7 +34,6 @@ from neurosim.evolution.space import Optimiser, SearchSpace
 from neurosim.loop.journal import Journal
 from neurosim.loop.search import part_of
 
-
 #: How far random parameter sets are from a simulator that L3 has adapted, as a part of their
 #: distance before.
 ADAPTED = 0.5
