@@ -110,9 +110,9 @@ class Compared:
         seen = [paths[np.isfinite(paths).any(axis=(1, 2))] for paths in self.poses]
         tracked = [place for place, paths in enumerate(seen) if len(paths)]
         window, circle = self.simulated.steps_in(WINDOW), self.simulated.circle
-        result = []
+        steps, result = min((one.shape[1] for one in self.poses), default=0), []
         for one in sets:
-            paths, each = self.simulated.poses(self.genes[tracked], one), []
+            paths, each = self.simulated.poses(self.genes[tracked], one, steps), []
             for path, place in zip(paths, tracked, strict=True):
                 start = np.broadcast_to(path[0], (len(seen[place]), 1, 3))
                 real = np.concatenate([start, seen[place]], axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
-from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
 from neurosim.simulators.adjustable import Adjustable, AdjustableSimulator
 from neurosim.simulators.base import Simulator
@@ -104,14 +105,17 @@ class Simulated:
         return max(round(seconds / self._task.episode.step), 1)
 
     def poses(
-        self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
+        self, genes: NDArray[np.float64], parameters: NDArray[np.float64], steps: int | None = None
     ) -> NDArray[np.float64]:
         """Return the expected poses of individuals [P, G], [P, K + 1, 3].
 
         At the task's first start and after each of K steps, with one set of parameters, without
-        noise.
+        noise. K is that of a trial, or fewer: ``steps``.
         """
         evaluator = self._evaluator(parameters)
+        if steps is not None and steps < evaluator.episode.steps:
+            episode = replace(evaluator.episode, steps=steps)
+            evaluator.rollouts = rollouts_of(evaluator.simulator, self._controller, episode)
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
             poses = evaluator.run(self.real_genes(genes), evaluator.expectation()).poses

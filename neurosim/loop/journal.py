@@ -45,7 +45,8 @@ class Reality(Protocol):
         ``instruction``, a sentence for the person who puts the robot back before every trial;
         ``patient = True``, if that person may take any time; ``trials(genes [N, G], numbers [N]) ->
         [N]``, if several can be made at once; ``stop()``, called from another thread when a running
-        trial is given up. See also :class:`Comparing`.
+        trial is given up; ``filmed``, the number of a trial's first steps in which the robot is
+        tracked, if not in all. See also :class:`Comparing`.
     """
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
@@ -124,7 +125,7 @@ class Journal:
         Raises:
             FileError: if there is one among those that were made before.
         """
-        self._steps = steps
+        self._steps = steps = min(steps, getattr(self._reality, "filmed", 0) or steps)
         for line, row in enumerate(self._file.rows, 2):
             if "poses" in row and len(row["poses"]) != steps:
                 wrong = self._other_steps(len(row["poses"]))

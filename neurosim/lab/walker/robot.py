@@ -33,8 +33,8 @@ from neurosim.simulators.legged.physics import Physics
 
 #: Radius of the circle, m, and the longest trial, s.
 RADIUS, LONGEST = 2.0, 60.0
-#: A film lasts longer than the trial by this, s.
-MORE = 0.1
+#: Longest film, s; and the time by which it lasts longer than its poses, s.
+FILM, MORE = 5.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -214,6 +214,7 @@ class VirtualWalker:
     Attributes:
         controller: the family of its individuals; its commands are angles of the joints by time.
         floor: the name of robot and floor.
+        filmed: number of a trial's first frames of the joints that are filmed; 0: no camera.
     """
 
     @checks
@@ -232,8 +233,8 @@ class VirtualWalker:
             floor: The floor: main, carpet, parquet, tiles or lawn.
             seed: Random seed of the noise from trial to trial.
             task: the task walking, or None.
-            camera: lab: a camera films the robot until the circle, or for the time of the task's
-                trial, and each result has the tracked path; None: it has a fitness only.
+            camera: lab: a camera films the first :data:`FILM` of each trial, and its result has the
+                tracked path; None: it has a fitness only.
 
         Raises:
             UserError: if the floor is unknown, the controller or the task is of another kind, the
@@ -262,10 +263,9 @@ class VirtualWalker:
                 f"{FRAME:g} s; use --task walking --step {FRAME:g}"
             )
         self.controller, self.floor, self._seed = controller, floor, seed
-        #: Number of frames of the joints that are filmed.
-        self._filmed = 0
+        self.filmed = 0
         if camera is not None and task is not None:
-            self._filmed = task.episode.steps
+            self.filmed = min(task.episode.steps, round(FILM / FRAME))
         self._radius = (task.episode.circle if task is not None else 0.0) or RADIUS
         self._ground = FLOORS[floor]
         self._build = replace(self._ground.build, bumps=_bumps(self._ground))
@@ -274,7 +274,7 @@ class VirtualWalker:
     def describe(self) -> dict[str, Any]:
         """Return the robot's description."""
         about = {"kind": "virtual-walker", "virtual": True, "floor": self.floor, "seed": self._seed}
-        return about | ({"filmed": self._filmed * FRAME} if self._filmed else {})
+        return about | ({"filmed": self.filmed * FRAME} if self.filmed else {})
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
         """Return the fitness of an individual [G] in one trial, m/s; with a camera its path, too.
@@ -312,12 +312,12 @@ class VirtualWalker:
         first = np.where(crossed.any(axis=1), crossed.argmax(axis=1), len(times))
         elapsed = np.maximum(first * FRAME + clocks, FRAME)
         fitness = np.where(crossed.any(axis=1), self._radius / elapsed, 0.0)
-        if not self._filmed:
+        if not self.filmed:
             return fitness
         more = round(MORE / FRAME)
-        films = zip(poses, np.minimum(first, self._filmed).tolist(), numbers.tolist(), strict=True)
+        films = zip(poses, np.minimum(first, self.filmed).tolist(), numbers.tolist(), strict=True)
         paths = [
-            film(path[: end + more + 1], FRAME, self._filmed, (self._seed, n))
+            film(path[: end + more + 1], FRAME, self.filmed, (self._seed, n))
             for path, end, n in films
         ]
         return [Tracked(*each) for each in zip(fitness.tolist(), paths, strict=True)]
