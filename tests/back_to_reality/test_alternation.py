@@ -279,6 +279,8 @@ class TrackedBlock:
 
     def __init__(self, mass, friction, steps=2):
         self.block, self.steps = Block(mass, friction), steps
+        if steps == 1:
+            self.filmed = 1  # the task has two
 
     def trial(self, genes, number):
         start = torch.zeros(1, 3, dtype=torch.float64)
@@ -286,12 +288,14 @@ class TrackedBlock:
         return Tracked(0.0, np.concatenate([end.numpy(), np.full((self.steps - 1, 3), np.nan)]))
 
 
-@pytest.mark.parametrize("compare", ["similar", "recent", "tracked"])
-def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
+@pytest.mark.parametrize(
+    ("compare", "steps"), [("similar", 2), ("recent", 2), ("tracked", 2), ("tracked", 1)]
+)
+def test_poses_are_compared_where_they_were_tracked(tmp_path, compare, steps):
     settings = settings_named(
         "paper", compare=compare, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
     )
-    trials = Journal(TrackedBlock(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    trials = Journal(TrackedBlock(2.0, 0.2, steps), tmp_path / "trials.jsonl", each=1)
     run_result = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
     adapted = run_result.cycles[0]["L3"]
     assert adapted["compared"]["after"]["poses"] < 0.25 * adapted["compared"]["before"]["poses"]

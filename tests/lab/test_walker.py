@@ -110,6 +110,25 @@ def test_a_film_shows_where_the_robot_walks():
     assert true[-1, 0] > 0.05
 
 
+def test_a_film_lasts_five_seconds_at_most():
+    walker = VirtualWalker(Gait(), task=Walking(20.0), camera="lab")
+    fast = walker.trial(HAND, 0)
+    assert walker.filmed == len(fast.poses) == 625
+    assert walker.describe()["filmed"] == 5.0
+    assert np.isfinite(fast.poses).all()
+
+
+def test_a_trial_ends_at_the_circle_of_its_task():
+    near, far = (VirtualWalker(Gait(), task=Walking(20.0, circle=c)) for c in (0.5, 0.0))
+    assert far.trial(HAND, 0) == VirtualWalker(Gait()).trial(HAND, 0)
+    assert near.trial(HAND, 0) == pytest.approx(far.trial(HAND, 0), rel=0.25)
+    assert near.trial(HAND, 0) != far.trial(HAND, 0)
+    filmed = VirtualWalker(Gait(), task=Walking(20.0, circle=0.3), camera="lab").trial(HAND, 0)
+    seen = filmed.poses[np.isfinite(filmed.poses).all(axis=1)]
+    assert 0.29 < np.hypot(*seen[-1, :2]) < 0.31
+    assert len(seen) < 500
+
+
 def test_a_film_ends_with_a_fall():
     path = np.zeros((126, 3))
     path[:, 0] = 0.003 * np.arange(126)
