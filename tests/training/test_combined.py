@@ -267,7 +267,7 @@ def test_intervals_hold_for_beginnings_of_commands_when_rows_are_few():
     """Whole commands alone do not tell how noise depends on the time: it is the same here."""
     fresh, held = drive_data(300, seed=99, noise=0.01), []
     row, time, moved = (part[fresh.within.time < 0.5] for part in fresh.within)
-    for seed in range(2):
+    for seed in range(3):
         simulator = trained(drive_data(24, seed=seed, noise=0.01), members=8, noise=True)
         inputs = simulator.chained(fresh.x)[row]
         inputs[:, simulator.columns.duration] *= time / fresh.x[row, 4]

@@ -38,9 +38,19 @@ def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
 
 @pytest.mark.slow
 def test_no_member_runs_off_where_rows_were_few():
-    """Wherever 40 rows support commands, six in a row, members stay near each other."""
+    """Wherever 40 rows support commands, six in a row, members stay near each other.
+
+    The farthest of 24,000 commands depends on the seed, and on how a processor rounds; the median
+    of five simulators does not.
+    """
     data = training_data(Dataset.read(REFERENCE)).part(slice(1000, 1040))
-    simulator = learn(data, 1)
+    apart = np.median([farthest_members(data, seed) for seed in range(1, 6)], axis=0)
+    assert (apart < [0.12, 0.12, np.radians(45.0)]).all()
+
+
+def farthest_members(data, seed):
+    """Return how far members are from their median, m, m, rad: the farthest of six commands."""
+    simulator = learn(data, seed)
     simulator.known = domain_of(simulator, data, None)
     rng, rows = np.random.default_rng(0), 4000
     low, high = np.array(list(simulator.domain.values())).T
@@ -49,9 +59,11 @@ def test_no_member_runs_off_where_rows_were_few():
     commands = torch.from_numpy(random).reshape(6, rows, 3)
     every = torch.arange(simulator.members).repeat_interleave(rows)
     state = simulator.start_as(torch.zeros(len(every), 3, dtype=torch.float64), every)
+    apart = np.zeros(3)
     for command in commands:
         before = state[:, :3].numpy()
         state = simulator.step(state, command.repeat(simulator.members, 1))
         distance = se2.between(before, state[:, :3].numpy()).reshape(-1, rows, 3)
-        apart = np.abs(distance - np.median(distance, axis=0)).max(axis=(0, 1))
-        assert (apart < [0.12, 0.12, np.radians(45.0)]).all()
+        off = np.abs(distance - np.median(distance, axis=0)).max(axis=(0, 1))
+        apart = np.maximum(apart, off)
+    return apart
