@@ -13,10 +13,12 @@ method holds to be best is measured in ten further trials, of which the mean cou
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
 Each run (a method, a seed, a floor) is a line of the file, written as soon as the run ends; runs in
-the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. No
-parameter is tuned on any place but main. With ``--servos`` the simulator has the properties of
-servos, and there are 40 evaluations: once the robot is filmed, and L3 compares paths, and once
-there is no L3; the runs, with ``--floors tiles lawn``, are in benchmarks/filmed.jsonl.
+the file are not repeated. The runs so far are in benchmarks/back_to_reality.jsonl. Settings are
+tuned on main; the spread of the random parameter sets on carpet, too.
+
+With ``--servos`` the simulator has the properties of servos, its trials last up to 20 s and end at
+the circle, too, and there are 40 evaluations: once the robot is filmed, and L3 compares paths, and
+once there is no L3; the runs, with ``--floors tiles lawn``, are in benchmarks/filmed.jsonl.
 ``--paper`` takes the paper's 600 generations, 45 for L3 and trials of 20 s; without it there are
 120, 20 and 5 s.
 """

@@ -151,14 +151,14 @@ class Physics:
             poses[going, first + 1 : part.stop + 1] = seen
             over = np.isnan(seen[:, -1, 0])
             if reach is not None:
-                over |= _arrived(seen, starts[going], reach).any(axis=1)
+                over |= arrived(seen, starts[going], reach).any(axis=1)
             going = going[~over]
             if not len(going):
                 break
         if reach is None:
             return poses
-        arrived = _arrived(poses, starts, reach)
-        last = np.where(arrived.any(axis=1), arrived.argmax(axis=1), frames)
+        there = arrived(poses, starts, reach)
+        last = np.where(there.any(axis=1), there.argmax(axis=1), frames)
         kept = np.minimum(np.arange(frames + 1), last[:, None])
         return np.take_along_axis(poses, kept[..., None], axis=1)
 
@@ -166,7 +166,7 @@ class Physics:
         raise TypeError("threads cannot be copied")
 
 
-def _arrived(
+def arrived(
     poses: NDArray[np.float64], starts: NDArray[np.float64], reach: float
 ) -> NDArray[np.bool_]:
     """Return whether poses [B, T, 3] are at least ``reach`` (m) from starts [B, 3], [B, T]."""
