@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple, Protocol
@@ -124,18 +125,39 @@ class _LBFGS(torch.optim.LBFGS):
     add_param_group = inspect.unwrap(torch.optim.Optimizer.add_param_group)
 
 
+#: Value of a function where it is not finite.
+_WORST = 1e100
+
+
 def minimise(parameters: Sequence[Tensor], loss: Callable[[], Any], *, steps: int) -> None:
     """Minimise a function by L-BFGS whose line search fulfils the strong Wolfe conditions.
 
     Nocedal and Wright 2006, algorithms 7.5 and 3.5.
 
     Args:
-        parameters: its arguments; they are changed.
+        parameters: its arguments; they are changed to the best that were tried.
         loss: returns its value, and sets new gradients of the arguments.
         steps: most iterations.
     """
+    least, best = math.inf, [one.detach().clone() for one in parameters]
+
+    def finite() -> float:
+        nonlocal least, best
+        value = loss()
+        value = value.item() if isinstance(value, Tensor) else float(value)
+        if not math.isfinite(value):  # too long a step: the line search tries a shorter one
+            for one in parameters:
+                one.grad = torch.zeros_like(one)
+            return _WORST
+        if value < least:
+            least, best = value, [one.detach().clone() for one in parameters]
+        return value
+
     optimiser = _LBFGS(list(parameters), max_iter=steps, line_search_fn="strong_wolfe")
-    optimiser.step(loss)
+    optimiser.step(finite)
+    with torch.no_grad():
+        for one, kept in zip(parameters, best, strict=True):
+            one.copy_(kept)
 
 
 class Trainer(Protocol):

@@ -30,8 +30,8 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.training.base import minimise, root_mean_square
 
-#: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
-PULL = 1.0
+#: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as two rows.
+PULL = 4.0
 
 #: The same for logarithms of the factors of spread, in separate windows, towards that of the usual
 #: factor of the members' differences. Members that learn the same rows with other weights agree too

@@ -60,8 +60,8 @@ STRETCHES = 24
 UNPROVEN = 0.5
 #: Rows for each unit of the Gaussian process, beyond the first number of units.
 ROWS_PER_CENTRE = 3
-#: Weight of a part of a command for the noise.
-NOISE_PART = 0.03
+#: Weight of all parts of a command together for the noise, of which they repeat the same.
+NOISE_PARTS = 1.0
 #: Number of rows up to which a drive model's residuals on its own rows are much smaller than on
 #: others.
 FEW = 250
@@ -682,9 +682,10 @@ class CombinedTrainer:
             mean = self._of_others(unseen, (~self._half[:whole]).long())[some]
         else:
             mean = simulator.from_outputs(unseen[some], rows.x[some])
-        # The parts of a command repeat the same noise.
-        weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
-        noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight)
+        weight = torch.ones_like(rows.weight)
+        parts = self._command[whole:]
+        weight[whole:] = NOISE_PARTS / parts.bincount(minlength=whole)[parts]
+        noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight[some])
         return noise.times(OF_HALVES) if few else noise
 
     def _moved_evenly(self) -> Tensor:
