@@ -149,7 +149,8 @@ def agreement(
 
     Args:
         compared: the individuals.
-        before, after: [K] fractions of the parameters.
+        before, after: [S, K] fractions of the parameters; the fitness that the simulator predicts
+            is the mean over these sets, and paths are those of the first one.
 
     Returns:
         ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their
@@ -158,8 +159,8 @@ def agreement(
     """
     real = compared.fitness
     result: dict[str, Any] = {"individuals": len(real)}
-    for name, parameters in (("before", before), ("after", after)):
-        fitness = compared.simulated.fitness(compared.genes, parameters)
+    for name, sets in (("before", before), ("after", after)):
+        fitness = compared.simulated.expected(compared.genes, sets)
         apart = np.abs(fitness - real)
         result[name] = {
             "norm": float(np.linalg.norm(apart)),
@@ -168,7 +169,7 @@ def agreement(
             "rank": rank_correlation(fitness, real),
         }
         if compared.poses is not None:
-            result[name]["poses"] = float(compared.discrepancy(parameters[None])[0])
+            result[name]["poses"] = float(compared.discrepancy(sets[:1])[0])
     return result
 
 

@@ -34,9 +34,11 @@ from neurosim.evolution.space import Optimiser, SearchSpace
 from neurosim.loop.journal import Journal
 from neurosim.loop.search import part_of
 
-#: How far random parameter sets are from a simulator that L3 has adapted, as a part of their
+#: How far L1's random parameter sets are from a simulator that L3 has adapted, as a part of their
 #: distance before.
 ADAPTED = 0.5
+#: Parameter sets over which a prediction is the mean, where L1 takes several.
+FORESEEN = 16
 
 
 @dataclass
@@ -114,7 +116,7 @@ class Alternation:
         self._record = Evaluations()
         self._now = simulated.as_is  # [K] the simulator's parameters
         self.cycles: list[dict[str, Any]] = []
-        #: The first parameter set [K] before and after L3 of a cycle.
+        #: Parameter sets [S, K] that predict, before and after L3 of a cycle.
         self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
     def run(self) -> Adaptation:
@@ -192,9 +194,13 @@ class Alternation:
     def _search(self, cycle: int, start: NDArray[np.float64]) -> Climb:
         """Evolve controllers in the simulator, from mutations of one."""
         settings = self._settings
+        spread = settings.prior * (ADAPTED if self._adapted else 1.0)
 
         def evaluate(genes: NDArray[np.float64]) -> NDArray[np.float64]:
-            each = self._simulated.over(genes, self._around(self._now, cycle, climb.done))
+            # The simulator never agrees fully with reality: controllers that are evolved in the
+            # best set alone, or in the same few sets, depend on these.
+            sets = self._around(settings.sets, spread, cycle, climb.done)
+            each = self._simulated.over(genes, sets)
             return each.mean(axis=0) - settings.caution * each.std(axis=0)
 
         total = settings.generations
@@ -282,7 +288,7 @@ class Alternation:
             return np.empty((0, self._simulated.genes)), np.empty(0)
         genes = np.stack(chosen)
         real = self._try(genes, f"cycle {cycle + 1}, L1")
-        simulated = self._simulated.fitness(genes, self._now)
+        simulated = self._simulated.expected(genes, self._foreseen())
         works = np.abs(simulated - real) <= 0.25 * np.maximum(real, simulated)
         self.cycles[cycle]["transfer"] = {
             "simulated": simulated.tolist(),
@@ -318,35 +324,33 @@ class Alternation:
         climb = Climb(self._parameters(cycle, self._now), lambda sets: -ten.discrepancy(sets))
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
-        before = self._now
-        self._now = after = best_set(ten, climb, before)
+        before = self._foreseen()
+        self._now = best_set(ten, climb, self._now)
+        after = self._foreseen()
         self._adapted[cycle] = before, after
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
-            "parameters": [self._named(after)],
+            "parameters": [self._named(self._now)],
             "compared": {
                 **self._agreement(cycle, ten.genes, ten.fitness),
                 "real": ten.fitness.tolist(),
-                "simulated_before": self._simulated.fitness(ten.genes, before).tolist(),
-                "simulated_after": self._simulated.fitness(ten.genes, after).tolist(),
+                "simulated_before": self._simulated.expected(ten.genes, before).tolist(),
+                "simulated_after": self._simulated.expected(ten.genes, after).tolist(),
             },
         }
         if left_out is not None and len(left_out[0]):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)
 
-    def _around(
-        self, middle: NDArray[np.float64], cycle: int, generation: int
-    ) -> NDArray[np.float64]:
-        """Return a parameter set [K] and random ones around it, [S, K], others each generation.
+    def _around(self, count: int, spread: float, *seed: int) -> NDArray[np.float64]:
+        """Return the simulator's parameters and random ones around them, [count, K]."""
+        rng = np.random.default_rng([self._seed, 0x5E75, *seed])
+        normal = rng.standard_normal((count - 1, len(self._now)))
+        others = np.clip(self._now + spread * normal, 0.0, 1.0)
+        return np.concatenate([self._now[None], others])
 
-        The simulator never agrees fully with reality: controllers that are evolved in the best set
-        alone, or in the same few sets, depend on these.
-        """
-        rng = np.random.default_rng([self._seed, 0x5E75, cycle, generation])
-        normal = rng.standard_normal((self._settings.sets - 1, len(middle)))
-        spread = self._settings.prior * (ADAPTED if self._adapted else 1.0)
-        others = np.clip(middle + spread * normal, 0.0, 1.0)
-        return np.concatenate([middle[None], others])
+    def _foreseen(self) -> NDArray[np.float64]:
+        """Return the parameter sets [S, K] over which a prediction is the mean."""
+        return self._around(FORESEEN if self._settings.sets > 1 else 1, self._settings.prior)
 
     def _agreement(
         self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]

@@ -125,3 +125,14 @@ class Simulated:
     def over(self, genes: NDArray[np.float64], sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness [S, P] of individuals [P, G] with sets of parameters [S, K]."""
         return np.stack([self.fitness(genes, one) for one in sets])
+
+    def expected(
+        self, genes: NDArray[np.float64], sets: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the mean fitness [P] of individuals [P, G] over sets of parameters [S, K].
+
+        It is a better prediction than that of the best set alone: whether a gait falls is a matter
+        of chance, and the sets say how likely it is.
+        """
+        mean: NDArray[np.float64] = np.mean([self.fitness(genes, one) for one in sets], axis=0)
+        return mean

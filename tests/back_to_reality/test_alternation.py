@@ -64,12 +64,15 @@ def test_discrepancy_and_choice_of_similar_ones_by_hand():
 
 
 def test_agreement_by_hand():
-    class Given:
+    class Given(Simulated):
+        def __init__(self):
+            pass
+
         def fitness(self, genes, parameters):
             return genes[:, 0] + parameters[0]
 
     compared = Compared(Given(), np.array([[1.0], [2.0], [3.0]]), np.array([1.0, 2.0, 5.0]))
-    result = agreement(compared, np.array([1.0]), np.array([0.0]))
+    result = agreement(compared, np.array([[0.0], [2.0]]), np.array([[0.0]]))
     assert result["before"]["norm"] == pytest.approx(3**0.5)
     assert result["after"]["norm"] == pytest.approx(2.0)
     assert result["after"]["median"] == 0.0
@@ -175,6 +178,22 @@ def test_the_sets_are_spread_by_the_prior(tmp_path):
     assert (sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.parametrize(("sets", "prior"), [(2, 0.1), (2, 0.02), (1, 0.1)])
+def test_a_prediction_is_the_mean_over_what_the_parameters_may_be(tmp_path, sets, prior):
+    """Within four standard errors of the mean over many sets; with one set, of that alone."""
+    _, rows, run = remembered(tmp_path, sets=sets, prior=prior, policy_steps=0)
+    tried = np.array([row["genes"] for row in rows if row["why"] == "cycle 1, L1"])
+    model, around = simulated(), np.random.default_rng(1).standard_normal((1000, 2))
+    of_each = model.over(tried, np.clip(model.as_is + prior * around, 0.0, 1.0))
+    predicted, as_is = run.cycles[0]["transfer"]["simulated"], model.fitness(tried, model.as_is)
+    if sets == 1:
+        assert predicted == as_is.tolist()
+    else:
+        away = np.abs(predicted - of_each.mean(axis=0)) / of_each.std(axis=0)
+        assert away.max() < 4.0 / 16**0.5
+        assert np.all(predicted != as_is)
+
+
 def test_later_searches_begin_at_the_best_in_reality_and_have_their_own_length(tmp_path):
     asked, rows, parameters = remembered(tmp_path, cycles=2, later_generations=4, adapt="none")
     assert [len(cycle["L1"]["best"]) for cycle in parameters.cycles] == [15, 4, 4]
@@ -264,13 +283,16 @@ def test_simulations_that_blow_up_are_failures():
 
 
 def test_ranks_of_equal_ones_are_their_mean():
-    class Given:
+    class Given(Simulated):
+        def __init__(self):
+            pass
+
         def fitness(self, genes, parameters):
             return genes[:, 0]
 
     # Ranks 1.5, 1.5, 3, 4 and 1, 2, 3, 4: a covariance of 4.5 by the root of 4.5 times 5.
     compared = Compared(Given(), np.array([[1.0], [1.0], [2.0], [3.0]]), np.arange(4.0))
-    out = agreement(compared, np.zeros(1), np.zeros(1))
+    out = agreement(compared, np.zeros((1, 1)), np.zeros((1, 1)))
     assert out["after"]["rank"] == pytest.approx((4.5 / 5.0) ** 0.5)
 
 
