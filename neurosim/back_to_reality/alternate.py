@@ -34,9 +34,6 @@ from neurosim.evolution.space import Optimiser, SearchSpace
 from neurosim.loop.journal import Journal
 from neurosim.loop.search import part_of
 
-#: How far L1's random parameter sets are from a simulator that L3 has adapted, as a part of their
-#: distance before.
-ADAPTED = 0.5
 #: Parameter sets over which a prediction is the mean, where L1 takes several.
 FORESEEN = 16
 
@@ -194,12 +191,11 @@ class Alternation:
     def _search(self, cycle: int, start: NDArray[np.float64]) -> Climb:
         """Evolve controllers in the simulator, from mutations of one."""
         settings = self._settings
-        spread = settings.prior * (ADAPTED if self._adapted else 1.0)
 
         def evaluate(genes: NDArray[np.float64]) -> NDArray[np.float64]:
             # The simulator never agrees fully with reality: controllers that are evolved in the
             # best set alone, or in the same few sets, depend on these.
-            sets = self._around(settings.sets, spread, cycle, climb.done)
+            sets = self._around(settings.sets, cycle, climb.done)
             each = self._simulated.over(genes, sets)
             return each.mean(axis=0) - settings.caution * each.std(axis=0)
 
@@ -341,16 +337,16 @@ class Alternation:
         if left_out is not None and len(left_out[0]):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)
 
-    def _around(self, count: int, spread: float, *seed: int) -> NDArray[np.float64]:
+    def _around(self, count: int, *seed: int) -> NDArray[np.float64]:
         """Return the simulator's parameters and random ones around them, [count, K]."""
         rng = np.random.default_rng([self._seed, 0x5E75, *seed])
         normal = rng.standard_normal((count - 1, len(self._now)))
-        others = np.clip(self._now + spread * normal, 0.0, 1.0)
+        others = np.clip(self._now + self._settings.prior * normal, 0.0, 1.0)
         return np.concatenate([self._now[None], others])
 
     def _foreseen(self) -> NDArray[np.float64]:
         """Return the parameter sets [S, K] over which a prediction is the mean."""
-        return self._around(FORESEEN if self._settings.sets > 1 else 1, self._settings.prior)
+        return self._around(FORESEEN if self._settings.sets > 1 else 1)
 
     def _agreement(
         self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]

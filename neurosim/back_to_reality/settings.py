@@ -32,8 +32,8 @@ class BackToRealitySettings(Checked):
         spread: Spread of the first population in L1, as a fraction of the ranges; not for ga.
         sets: Number of parameter sets of the simulator that each generation of L1 is judged in: the
             simulator itself, and random ones. The paper has 1.
-        prior: Standard deviation of random parameter sets around the given simulator, as a fraction
-            of the ranges; half as much around an adapted one.
+        prior: Standard deviation of random parameter sets around the simulator's own, as a fraction
+            of the ranges.
         caution: Number of standard deviations that are subtracted from the mean fitness over
             several sets.
         candidates: Number of L1's best controllers that are tried in reality in each cycle.
