@@ -75,6 +75,7 @@ def combined(simulator, kind, task):
     return sim, goal, controller(kind, sim, goal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("kind", ["plan", "network", "recurrent", "function"])
 @pytest.mark.parametrize("simulator", SIMULATORS)

@@ -114,6 +114,7 @@ def test_our_trainers(name):
     check_trainer(TRAINERS.get(name))
 
 
+@pytest.mark.slow
 def test_our_realities():
     pytest.importorskip("mujoco")
     from neurosim.lab.walker import VirtualWalker

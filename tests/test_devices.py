@@ -84,6 +84,7 @@ def test_tables_step_and_sense(device, tmp_path):
         torch.testing.assert_close(readings.cpu(), here.sense(expected), atol=1e-6, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("build", [motion, tables])
 def test_controllers_are_judged_and_evolved(device, build, tmp_path):
@@ -101,6 +102,7 @@ def test_controllers_are_judged_and_evolved(device, build, tmp_path):
     assert best[1] == pytest.approx(best[0], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(
     ("trainer", "settings"),
@@ -119,6 +121,7 @@ def test_simulators_are_trained(device, trainer, settings, tmp_path):
     same_when_read(simulator, tmp_path / "simulator", [30.0, 20.0, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_slow_robot_is_learned_from_a_log(device, tmp_path):
     rng, pose, speed = np.random.default_rng(0), np.zeros(3), np.zeros(3)

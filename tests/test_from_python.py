@@ -165,6 +165,7 @@ def test_anything_is_loaded_to_a_device(folder):
         ns.load(folder, device="gpu")
 
 
+@pytest.mark.slow
 def test_rollouts_and_checks_take_folders_and_names(folder, tmp_path):
     simulator = read_simulator(folder)
     commands = [[20.0, 30.0, 0.5], [30.0, 20.0, 0.5]]

@@ -32,6 +32,7 @@ def attack(made, scratch, chosen, cases, seed):
     assert not faults
 
 
+@pytest.mark.slow
 def test_a_few_damaged_files(made, tmp_path):
     attack(made, tmp_path, targets(*QUICK), 60, seed=1)
 

@@ -43,6 +43,7 @@ def test_workflows_run_commands_that_there_are():
     assert all(set(one.split(",")) <= set(extras) for one in named)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "large"),
     [

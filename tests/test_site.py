@@ -135,6 +135,7 @@ def test_commands_have_pages_with_their_help():
     assert "## Options of --reality virtual-khepera\n" in evolve
 
 
+@pytest.mark.slow
 def test_errors_are_listed_by_their_messages():
     (text,) = reference.errors().values()
     by_file = dict(zip(*[iter(re.split(r"^## (.*)$", text, flags=re.M)[1:])] * 2, strict=True))

@@ -310,6 +310,7 @@ class TrackedBlock:
         return Tracked(0.0, np.concatenate([end.numpy(), np.full((self.steps - 1, 3), np.nan)]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("compare", "steps"), [("similar", 2), ("recent", 2), ("tracked", 2), ("tracked", 1)]
 )
@@ -325,6 +326,7 @@ def test_poses_are_compared_where_they_were_tracked(tmp_path, compare, steps):
     assert adapted["history"]["best"][-1] >= adapted["compared"]["after"]["poses"] - 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compare", ["recent", "tracked"])
 def test_lost_trials_do_not_keep_the_others_from_being_compared(tmp_path, compare):
     class Lost(TrackedBlock):
@@ -471,6 +473,7 @@ def test_without_adapting_the_simulator_stays_as_it_is(tmp_path):
     assert (run_result.parameters == simulated().as_is).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ga", "cma", "own"])
 def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(
     tmp_path, name, monkeypatch
@@ -508,6 +511,7 @@ def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(
     assert again.cycles == whole.cycles
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [20, 40, 55, 70])
 def test_an_interruption_changes_nothing_where_noisy_trials_are_tracked(tmp_path, cut):
     """Trials that confirm gaits after L3 are in the file when L3 is run again."""

@@ -174,6 +174,7 @@ def test_something_that_stands_there_is_kept(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_the_report_has_the_four_panels(tmp_path):
     run(tmp_path / "out", Real())
     summary = write_report([tmp_path / "out", tmp_path / "out" / "controller"], tmp_path / "a.html")

@@ -153,6 +153,7 @@ class Sleeps:
         return SimpleNamespace(merit=rows.sum(1)), {}
 
 
+@pytest.mark.slow
 def test_a_first_evaluation_from_python_that_takes_long_says_why(monkeypatch, capsys):
     monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
     fitness = Fitness(Sleeps(), [0], "fitness")

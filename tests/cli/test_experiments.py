@@ -113,6 +113,7 @@ runs = 1
 """
 
 
+@pytest.mark.slow
 def test_combinations_that_run_at_once_give_the_same(tmp_path):
     file = tmp_path / "sweep.toml"
     file.write_text(SWEEP.replace("DATA", str(ROOT / "data" / "reference")))
@@ -136,6 +137,7 @@ def test_combinations_that_run_at_once_give_the_same(tmp_path):
     assert all(one["done_before"] for point in again["points"] for one in point["stages"].values())
 
 
+@pytest.mark.slow
 def test_an_error_of_one_of_several_names_its_stage(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("damaged").mkdir()
@@ -146,6 +148,7 @@ def test_an_error_of_one_of_several_names_its_stage(tmp_path, monkeypatch):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 def test_ctrl_c_ends_all_that_run_at_once(tmp_path):
     file = tmp_path / "sweep.toml"

@@ -254,6 +254,7 @@ def _calls_that_write(path):
             yield name
 
 
+@pytest.mark.slow
 def test_every_place_that_opens_for_writing_is_known():
     root = Path(neurosim.__file__).parents[1]
     results = {}

@@ -48,6 +48,7 @@ def test_there_is_a_template_of_each_kind(made):
         assert NAMES["robot"] in (made / NAMES["robot"] / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_code_is_formatted_and_clean(made):
     ruff = ["ruff"]
     chosen = ["--select", "E,F,W,B,UP,SIM,RUF", "--ignore", "RUF043", "--line-length", "100"]

@@ -191,6 +191,7 @@ def test_options_of_another_task_are_refused(folder, task, words, message):
         call("evolve", folder / "sim", "--task", task, "-o", folder / "other", *words)
 
 
+@pytest.mark.slow
 def test_resume_takes_the_options_it_was_begun_with(folder):
     begun = [
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "resumed",
@@ -216,6 +217,7 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
     assert evolution["robot"]["virtual_lab"]["robot_seed"] == 0
 
 
+@pytest.mark.slow
 def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
     for name in ("wall", "cylinder"):
         shutil.copy(folder / f"{name}.sample", tmp_path)
@@ -442,6 +444,7 @@ def test_broken_folders_are_named(folder, tmp_path):
         read_motion(tmp_path / "sim")
 
 
+@pytest.mark.slow
 def test_a_network_drives_a_khepera_on_its_own_and_the_report_shows_its_path(folder, tmp_path):
     done = call(
         "run", folder / "net", "--robot", "virtual-khepera", "--lab-seed", 2, "--camera", "none",

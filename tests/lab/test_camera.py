@@ -88,6 +88,7 @@ def test_the_lens_bends_the_picture_and_the_camera_is_tilted(camera):
     assert np.degrees(np.arccos(-camera.optics.rotation[2, 2])) > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (1280, 720)])
 def test_the_robot_is_in_view_all_over_the_board(size):
     optics = RoofCamera(CameraParams(size=size), 1).optics
@@ -174,6 +175,7 @@ def test_a_robot_off_the_picture_leaves_the_board_empty(camera):
     camera.render(np.array([1.55, 1.1, 0.5]))  # cut by the picture's corner
 
 
+@pytest.mark.slow
 def test_noise_has_its_deviation_on_board_and_robot():
     camera = RoofCamera(CameraParams(noise=3.0), 2)
     pose = np.array([0.0, 0.0, 0.3])

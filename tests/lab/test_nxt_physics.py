@@ -151,6 +151,7 @@ def test_draws_are_standard_normal():
     assert (np.abs(slips) > 1.96).mean() == pytest.approx(0.05, abs=0.015)
 
 
+@pytest.mark.slow
 def test_battery_sags_under_load_and_runs_down():
     params = LabParams()
     state, inputs = physics.new_state(params, 0, (0, 0, 0)), physics.new_inputs()
@@ -174,6 +175,7 @@ def test_the_room_has_walls():
     assert x == pytest.approx(2.76 / 2 + IDEAL.room)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_predicted_is_small_and_what_can_is_not():
     """Mean absolute deviations of the same command, over places, batteries and draws."""
     params = LabParams.sampled(1)

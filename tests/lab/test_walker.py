@@ -32,6 +32,7 @@ def test_the_hand_tuned_gait_crosses_the_circle_on_every_floor(floor):
     assert result[0] != result[1]
 
 
+@pytest.mark.slow
 def test_a_trial_depends_on_its_number_and_the_seed_alone(walker):
     alone = walker.trial(HAND, 7)
     genes = np.stack([np.clip(HAND + 0.02, 0.0, 1.0), HAND])
@@ -39,6 +40,7 @@ def test_a_trial_depends_on_its_number_and_the_seed_alone(walker):
     assert VirtualWalker(Gait(), seed=1).trial(HAND, 7) != alone
 
 
+@pytest.mark.slow
 def test_a_gait_that_stays_where_it_is_fails(walker):
     still = genes_of(dict(HAND_TUNED, length=0.01, ground_speed=0.05))
     assert walker.trial(still, 0) == 0.0
@@ -87,6 +89,7 @@ def test_no_floor_is_like_the_simulator():
         assert len(set(build.legs)) > 1
 
 
+@pytest.mark.slow
 def test_a_film_shows_where_the_robot_walks():
     """The path is that of the physics, to a millimetre; a fitness is as without a camera."""
     task = Walking(1.0)
@@ -118,6 +121,7 @@ def test_a_film_lasts_five_seconds_at_most():
     assert np.isfinite(fast.poses).all()
 
 
+@pytest.mark.slow
 def test_a_trial_ends_at_the_circle_of_its_task():
     near, far = (VirtualWalker(Gait(), task=Walking(20.0, circle=c)) for c in (0.5, 0.0))
     assert far.trial(HAND, 0) == VirtualWalker(Gait()).trial(HAND, 0)

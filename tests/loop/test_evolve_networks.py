@@ -58,6 +58,7 @@ def evolved(out, judge, **others):
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0, 4, 6, 17])
 def test_a_lost_robot_is_gone_on_with_as_if_nothing_had_been(tmp_path, at):
     whole = evolved(tmp_path / "whole", Judge())
@@ -82,6 +83,7 @@ def test_a_lost_robot_is_gone_on_with_as_if_nothing_had_been(tmp_path, at):
     assert not (tmp_path / "net.checkpoint").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     whole = evolved(tmp_path / "whole", Judge())
     judge = Judge(8, KeyboardInterrupt)
@@ -110,6 +112,7 @@ class Comparing(Judge):
         return [{"simulated": [], "robot": []}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [LinkLost, KeyboardInterrupt])
 def test_a_robot_lost_while_both_worlds_are_compared(tmp_path, error):
     calls, whole = [], evolved(tmp_path / "whole", Judge())

@@ -124,6 +124,7 @@ def content(saved):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "at"),
     [
@@ -165,6 +166,7 @@ def test_a_resumed_evolution_ends_as_one_that_was_not_interrupted(tmp_path, inte
     assert not (tmp_path / "out.checkpoint").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["plans", "networks"])
 def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
     simulator, task, _, settings = CASES[case]
@@ -190,6 +192,7 @@ def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
         run(case, tmp_path / "out", resume=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_damaged_checkpoint_is_named(tmp_path, interrupting, case):
     needs(case)

@@ -62,6 +62,7 @@ def test_expected_paths_are_those_of_single_steps(members, form, central, names,
     same(expected(fast, family, START), wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("members", "form", "noise", "central"),
     [

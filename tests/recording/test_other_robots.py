@@ -10,6 +10,8 @@ from neurosim.recording.settings import Rig
 from tracking.clock.motor_delay import motion_delay
 from tracking.datasets.dataset import build
 
+pytestmark = pytest.mark.slow
+
 SIZE = (320, 240)
 #: The guard has work, and a car room to turn.
 BOARD = {"length": 2.2, "width": 1.5}

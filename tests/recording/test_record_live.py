@@ -118,6 +118,7 @@ def test_the_same_seed_gives_the_same_files(kept, tmp_path):
         assert (first.path / name).read_bytes() == (second.path / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_frames_that_were_passed_over_are_looked_at_in_the_video(kept, tmp_path):
     recording, _, _ = kept
     camera = CameraModel.read(recording.path / "calibration.json")
@@ -198,6 +199,7 @@ def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp
     assert len(sent) == 9
 
 
+@pytest.mark.slow
 def test_with_light_sensors_it_drives_on(tmp_path):
     recording, message, _ = make(
         tmp_path / "r", STEADY, 4, sensors=True, prepare=taken_away(5.0, 7.0)

@@ -65,6 +65,7 @@ def attack(made, folder, kind, cases, seed):
             raise AssertionError(f"{kind}.json: {path} = {value!r}") from error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dataset", "simulator", "controller", "trial"])
 def test_a_few_changes(made, tmp_path, kind):
     attack(made, tmp_path, kind, 12, seed=1)

@@ -117,6 +117,7 @@ def test_a_drawing_says_where_its_metres_are():
     assert ends == pytest.approx(placed, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_drive_is_played_on_the_page(folders, tmp_path):
     page = tmp_path / "report.html"
     write_report(folders, page)
@@ -160,6 +161,7 @@ def frames_of(path):
         results.append(frame)
 
 
+@pytest.mark.slow
 def test_a_video_shows_the_robot_where_it_was(folders, tmp_path):
     trial, controller, simulator = folders
     out = tmp_path / "drive.mp4"

@@ -212,6 +212,7 @@ def test_simulator_alone_shows_what_its_training_found(tmp_path):
     assert "Add the folder of the dataset that the simulator was trained on" in page.text
 
 
+@pytest.mark.slow
 def test_another_dataset_is_used_whole(tmp_path):
     data, other = make_dataset(tmp_path / "data"), make_dataset(tmp_path / "other", 40, seed=9)
     net = make_simulator(tmp_path / "net", data)
@@ -232,6 +233,7 @@ def test_real_robot_is_not_called_virtual(tmp_path):
     assert "Virtual lab" not in Page(tmp_path / "page.html").text
 
 
+@pytest.mark.slow
 def test_the_verdict_names_the_chance_that_the_plan_was_given(tmp_path):
     trials = [
         make_trial(tmp_path / f"t{n}", n, completes=n == 0, probability=0.874) for n in range(3)

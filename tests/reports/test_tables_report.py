@@ -33,6 +33,7 @@ def network(folder, best, mean, fitness="avoidance", unmet=None, **evolution):
     return folder
 
 
+@pytest.mark.slow
 def test_samples(tmp_path):
     out = tmp_path / "page.html"
     write_report([simulator(tmp_path / "sim")], out)

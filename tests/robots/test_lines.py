@@ -115,6 +115,7 @@ def test_greetings_that_are_wrong(line, why):
             Greeting.read([text.split() for text in good[:left_out] + good[left_out + 1 :]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "kind"), [*((device, "wheels") for device in DEVICES), (None, "car"), (None, "omni")]
 )
@@ -189,6 +190,7 @@ def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
             assert not moves(rig), drives[:cut]
 
 
+@pytest.mark.slow
 def test_a_line_that_loses_and_changes_bytes():
     """No wrong command is carried out, no wrong value is read; lost lines are sent again."""
     with a_rig() as rig, rig.robot as robot:

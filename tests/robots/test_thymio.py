@@ -195,6 +195,7 @@ def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
                 assert rig.standing, cut
 
 
+@pytest.mark.slow
 def test_answers_that_are_lost_are_asked_for_again():
     with a_rig() as rig, rig.robot as robot:
         rng, exchange = random.Random(5), rig.cable.exchange

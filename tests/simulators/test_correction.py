@@ -121,6 +121,7 @@ def test_as_it_stands_nothing_changes():
         assert np.array_equal(getattr(sim.compiled(), name), value, equal_nan=True), name
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(corrections())
 def test_compiled_is_stepped(values):

@@ -68,6 +68,7 @@ def test_the_compiled_form_agrees(swing):
         assert out == pytest.approx(wanted, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swing", [None, 0.03])
 def test_the_compiled_form_agrees_beside_a_drive_model(swing):
     """The speeds before are those with which the command began."""

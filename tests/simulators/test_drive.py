@@ -312,6 +312,7 @@ def late_model(seed, sticky):
     return drive_model(seed, **laws, stick=stick, delay=delay, drag=drag * rng.integers(2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sticky", [False, True])
 @pytest.mark.parametrize("spans", SPANS)
 @settings(max_examples=10, deadline=None)
@@ -345,6 +346,7 @@ def off(seed, spans, sticky, dt):
     return np.abs(away).max(2).reshape(-1, len(commands), 2).max(0).T
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 9999), st.floats(0.1, 0.9), st.booleans())
 def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, fraction, sticky):
@@ -465,6 +467,7 @@ def test_compiled_steps_end_in_the_same_states(spans, delay):
         np.testing.assert_allclose(result, state, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.12])
 @pytest.mark.parametrize("delay", [0.1, 0.5])
 def test_a_command_that_comes_and_goes_by_one_percent_is_as_if_it_were_held(period, delay):
@@ -642,6 +645,7 @@ def delayed(sim, delay):
     return replaced(sim, drive=replace(sim.drive, delay=double([delay])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
 @settings(max_examples=25, deadline=None)
 @given(CUTS, CUTS, TIMES, TIMES)

@@ -48,6 +48,7 @@ def test_what_is_seen_again_as_expected_changes_nothing():
     assert torch.allclose(sim.seen(after, before, moved, 0.1), after, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_curve_is_driven_with_the_excess_in_the_robots_frame():
     """Compared with small steps in which both twists are added."""
     exceeds = Excess(torch.tensor([1.0, 2.0, 0.7]), torch.ones(3))

@@ -80,6 +80,7 @@ def test_the_page_runs_without_neurosim(tmp_path):
     torch.testing.assert_close(result, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_one_network_of_whole_commands(tmp_path):
     plain = {"units": 0, "swing": None, "noise": False}
     simulator = random_motion_network(4, drives=False, members=1, central=False, **plain)
@@ -93,6 +94,7 @@ def test_one_network_of_whole_commands(tmp_path):
     assert "noise" not in (tmp_path / "program" / "README.md").read_text().split("```")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "simulator",
     [

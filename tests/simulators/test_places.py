@@ -108,6 +108,7 @@ def test_a_contact_is_where_the_robot_was_held_up(tables):
     assert driven.touching[0, 0].tolist() == held.tolist()
 
 
+@pytest.mark.slow
 def test_networks_evolve_in_many_arenas(tables, tmp_path):
     task = ObstacleAvoidance(steps=60, starts=3, contacts="end")
     how = {"generations": 3, "arenas": 4, "runs": 2, "objective": "fitness", "progress": False}

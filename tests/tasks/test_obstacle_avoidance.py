@@ -212,6 +212,7 @@ class Fixed:
         assert fitness.shape == (1, 2)
 
 
+@pytest.mark.slow
 def test_the_choice_is_not_the_lucky_one(monkeypatch):
     monkeypatch.setitem(OPTIMISERS._registered, "fixed", Fixed)
     evaluator = Evaluator(TableSimulator(made_up()), ObstacleAvoidance(), FAMILY)

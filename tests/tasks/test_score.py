@@ -59,6 +59,7 @@ def drives(task, count, steps, rng):
     return poses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
     task, rng = TASKS[name](), np.random.default_rng(3)

@@ -115,6 +115,7 @@ def test_a_rendered_lens_is_recovered_with_its_pose(tmp_path):
         assert (tmp_path / f"{number}.json").read_bytes() == model_bytes
 
 
+@pytest.mark.slow
 def test_a_video_does_as_well(tmp_path):
     path = tmp_path / "board.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (640, 480))

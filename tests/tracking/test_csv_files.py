@@ -125,6 +125,7 @@ def test_delimiters_remarks_and_byte_order_marks(tmp_path, delimiter):
         assert (result == expected).all(), name
 
 
+@pytest.mark.slow
 def test_a_log_gives_the_rows_that_the_same_robots_utias_files_give(shared_data, tmp_path):
     folder = shared_data / "utias"
     # Its held commands are half of the log, so a log is taken whole.

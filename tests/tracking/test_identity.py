@@ -67,6 +67,7 @@ def test_nothing_and_one_sight_are_not_doubtful():
     assert not doubtful(*track_of([None, (3.0, 4.0), None])).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("twin_from", "back_at"), [(40, 116), (60, 60), (100, 116), (118, 300)])
 def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:
@@ -90,6 +91,7 @@ def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
     assert (result & ~false)[back_at + 4 :].all()
 
 
+@pytest.mark.slow
 def test_a_twin_is_said_and_marked_by_the_command(tmp_path):
     rng, background = np.random.default_rng(0), scene.background((320, 240))
     path = tmp_path / "twin.avi"

@@ -128,6 +128,7 @@ def test_episodes_say_where_their_rows_and_frames_are(exported):
             )
 
 
+@pytest.mark.slow
 def test_actions_poses_and_pictures_are_the_recordings(recordings, exported):
     out, warnings = exported
     recording = Recording(recordings[1])

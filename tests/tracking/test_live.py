@@ -119,6 +119,7 @@ def test_a_camera_stops_where_its_frames_cannot_be_taken(tmp_path):
     assert taken == [0.0]
 
 
+@pytest.mark.slow
 def test_a_film_keeps_the_time_of_a_camera_that_does_not_keep_its_rate(tmp_path):
     rng = np.random.default_rng(0)
     # 20 frames a second, uneven, and half a second without any.

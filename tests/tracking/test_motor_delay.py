@@ -48,6 +48,7 @@ def drive(lines, dead, seed, *, drift=0.0, dropped=0.0, noise=(0.0005, 0.0005, 0
     return times, seen + noise * rng.standard_normal(seen.shape)
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.floats(-0.06, 0.1), st.integers(0, 10**6), st.sampled_from([0.0, 0.1]))
 def test_the_dead_time_is_found(dead, seed, dropped):
@@ -58,6 +59,7 @@ def test_the_dead_time_is_found(dead, seed, dropped):
     assert delay.answers >= 20
 
 
+@pytest.mark.slow
 def test_the_stated_deviation_covers_the_errors():
     misses = []
     for seed in range(25):
@@ -81,6 +83,7 @@ def test_the_clock_is_found_without_a_flash(offset, drift, seed):
     assert fit.flashes == ()
 
 
+@pytest.mark.slow
 def test_the_clock_of_a_drive_in_closed_loop_is_found():
     """Ten commands a second, each little different from the one before."""
     errors, steps = [], np.arange(100)
@@ -154,6 +157,7 @@ def test_commands_that_repeat_themselves_are_ambiguous():
         fit_clock_to_motion(times, poses, lines)
 
 
+@pytest.mark.slow
 def test_a_dataset_counts_from_when_the_motors_answered(tmp_path):
     """60 ms late or not at all: corrected, the displacements are the same."""
     lines = commands(40, 5)

@@ -33,6 +33,7 @@ def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_pa
     assert len(dataset.within) == read.meta["within"]
 
 
+@pytest.mark.slow
 def test_the_real_robots_poses_within_commands_are_those_of_its_track(shared_data, tmp_path):
     # From the files themselves, slowly: where the robot was, seen from the piece's beginning.
     folder = shared_data / "utias"

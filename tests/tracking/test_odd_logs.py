@@ -73,6 +73,7 @@ def test_a_plain_log_is_not_suspicious(imported):
     assert len(made) > 25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [-60.0, 30.0])
 def test_drives_in_one_file_are_as_drives_in_two(imported, tmp_path, apart):
     first, second = drive(seed=1), drive(seed=2)
@@ -138,6 +139,7 @@ def test_two_samples_close_together_are_no_jump(imported):
     assert "jumps" not in warnings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [-0.4, 1.0])
 def test_clocks_that_differ(imported, late):
     time, poses, commands = drive(120.0)
@@ -163,6 +165,7 @@ def test_clocks_that_differ(imported, late):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("held", [1.0, 0.5])
 def test_held_commands_that_are_half_of_a_log_are_not_all_that_is_learned_from(imported, held):
     """Then the rest would be thrown away, even if there are many of them."""
@@ -381,6 +384,7 @@ def test_counters_of_wheels_become_how_fast_they_count(imported):
     assert np.abs(speed * table["duration"] - table["dx"]).max() < 0.002
 
 
+@pytest.mark.slow
 def test_commands_that_were_sent_are_no_counters(imported):
     for seed in range(3):
         assert "counters" not in imported(*drive(60.0, seed=seed))[1]

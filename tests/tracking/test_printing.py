@@ -26,6 +26,7 @@ def picture_of(settings):
     return cv2.imdecode(np.frombuffer(data.getvalue(), np.uint8), cv2.IMREAD_COLOR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

@@ -40,6 +40,7 @@ def test_a_tag_to_a_fifth_of_a_millimetre_and_of_a_degree(name, tag):
     assert seen["false"] == 0
 
 
+@pytest.mark.slow
 def test_colours_that_drift_from_purple_to_red_are_followed():
     seen = tracked("cast", 3.0)
     assert seen["tracked"] == 1
@@ -65,6 +66,7 @@ def test_out_of_the_picture_and_back(what):
     assert seen["tracked"] > 0.9
 
 
+@pytest.mark.slow
 def test_the_truth_of_the_scenes_is_where_an_independent_detector_sees_it():
     seen = tracked("clean", 0.5, OpenCV, ARUCO, 0.1)
     assert seen["tracked"] == 1

@@ -41,6 +41,7 @@ def pixels_of(sighting):
     return np.stack([sighting.front, sighting.rear])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("side", [14.0, 24.0, 61.3, 130.0])
 def test_a_tag_is_placed_to_hundredths_of_a_pixel(kind, side):

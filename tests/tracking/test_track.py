@@ -328,6 +328,7 @@ def test_a_height_is_no_option_of_a_recording(recording):
     assert "--height is for video files" in str(done.exception)
 
 
+@pytest.mark.slow
 def test_footage_as_a_user_would(shared_data, tmp_path):
     summary = track_video(
         shared_data / "footage" / "marker-pushed.avi",

@@ -42,6 +42,7 @@ def pixels_of(sighting):
     return np.stack([sighting.front, sighting.rear])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fade", [True, False])
 def test_every_frame_to_a_tenth_of_a_pixel(fade):
     rng, tracker, misses = np.random.default_rng(0), new_tracker(), []
@@ -63,6 +64,7 @@ def test_what_is_learned_is_close_to_the_paint():
         assert math.atan2(look.direction[1], look.direction[0]) == pytest.approx(hue, abs=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("covered", [0, 1])
 @pytest.mark.parametrize("fraction", [0.5, 1.0])
 def test_a_covered_marker_has_no_pose(covered, fraction):
@@ -88,6 +90,7 @@ def test_a_covered_marker_has_no_pose(covered, fraction):
             assert sighting.in_view
 
 
+@pytest.mark.slow
 def test_things_of_the_same_colours_capture_nothing():
     rng, tracker = np.random.default_rng(2), new_tracker()
 
@@ -110,6 +113,7 @@ def test_things_of_the_same_colours_capture_nothing():
     assert result > 50
 
 
+@pytest.mark.slow
 def test_a_hidden_marker_is_not_replaced_by_another_of_its_colour():
     rng, tracker = np.random.default_rng(3), new_tracker()
 
@@ -298,6 +302,7 @@ def hidden_plate(shared_data, tracker, twin_from=0):
     return before, after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin_from", [0, 70])
 def test_another_plate_is_not_taken_for_one_that_is_hidden(shared_data, twin_from):
     tracker = new_tracker(colours=("blue", "pink"))
@@ -326,6 +331,7 @@ def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
     assert len(result) > 55
 
 
+@pytest.mark.slow
 def test_of_two_that_both_fit_none_is_taken_and_it_is_counted():
     rng, tracker = np.random.default_rng(11), new_tracker()
     for i in range(120):

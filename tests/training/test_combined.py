@@ -176,6 +176,7 @@ def test_where_no_row_was_members_differ_most():
     assert spread(data.x[(data.x[:, 2:4] < 0).all(1)]) > 2 * spread(data.x[forwards])
 
 
+@pytest.mark.slow
 def test_the_process_is_the_textbook_s_where_all_rows_are_centres():
     g = torch.Generator().manual_seed(0)
     x = torch.rand(40, 2, generator=g, dtype=torch.float64)

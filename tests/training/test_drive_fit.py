@@ -116,6 +116,7 @@ def in_curves(ahead: float, turn: float) -> Motion:
     return Motion(x, y, torch.zeros(rows, dtype=torch.bool), CommandFeatures.of(NAMES), 2.0)
 
 
+@pytest.mark.slow
 def test_what_a_robot_loses_in_curves_is_found():
     fit = fit_drive(in_curves(1 / 3, 1 / 2))
     assert fit.drive.turning.tolist() == pytest.approx([-0.5, 0.5], abs=0.02)
@@ -159,6 +160,7 @@ def heavy(forward: float, turn: float, modes: bool = True, drag: float = 0.0) ->
     return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0)
 
 
+@pytest.mark.slow
 def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
     rows = heavy(2.5, 0.5)
     drive = fit_drive(rows).drive
@@ -170,6 +172,7 @@ def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
     assert alone.lag.tolist() == pytest.approx([0.5, 0.5], abs=0.1)
 
 
+@pytest.mark.slow
 def test_quadratic_drag_is_found_where_there_is_one():
     drive = fit_drive(heavy(2.5, 0.5, drag=1.5)).drive
     assert drive.drag[0].item() == pytest.approx(1.5, rel=0.3)

@@ -61,6 +61,7 @@ def test_the_gradient_is_that_of_differences(seed):
         assert float(gradient[k]) == pytest.approx((above - below) / 2e-5, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_search_finds_a_minimum_without_pytorchs_compiler():
     program = (
         "import sys, torch\n"

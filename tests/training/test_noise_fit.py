@@ -85,6 +85,7 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_likelihood_and_its_derivatives_are_those_of_a_mixture_of_normal_distributions():
     generator = torch.Generator().manual_seed(3)
 

@@ -38,6 +38,7 @@ def outcome(folder):
     return described, (folder / "weights.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "better"),
     [

@@ -91,6 +91,7 @@ def simulated(controller, by="both", start=None):
     return code, after
 
 
+@pytest.mark.slow
 def test_a_drive_into_the_line_ends_where_the_simulator_says(drive, tmp_path):
     controller = plan((40, 40, 3.0), (-40, -40, 1.0), start=(0.2, 0.4, math.pi / 2))
     code, pose = simulated(controller)
@@ -111,6 +112,7 @@ def test_a_drive_into_the_line_ends_where_the_simulator_says(drive, tmp_path):
     assert ">stopped<" in page
 
 
+@pytest.mark.slow
 def test_without_its_light_sensors_the_edge_ends_it(drive):
     controller = plan((40, 40, 4.0), start=(0.6, 0.0, 0.0))
     code, pose = simulated(controller, by="position")

@@ -282,6 +282,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_crowd_that_reconnects_all_the_time_keeps_nobody_out(server):
     command = [sys.executable, "-c", CROWD, str(server.address[1])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as crowd:
