@@ -56,6 +56,8 @@ READ_AT = (60, 90, 120)
 FEW = 40
 AGAIN = 10
 HAND = genes_of(HAND_TUNED)
+#: Least number of gaits whose ranks are compared; a budget may end with one or two.
+RANKED = 5
 #: The paper's 24.7 cm/s over its hand-tuned 10.
 PAPER = 2.47
 #: Gaits that L3 is judged on: those of its trials, the next round's, and the best one's neighbours.
@@ -309,11 +311,13 @@ def agreements(runs: list[list[dict[str, Any]]]) -> dict[str, Any]:
     """Return medians over runs: how well the simulator predicts gaits.
 
     ``transfer`` is the percentage of the first candidates that reach the predicted fitness within
-    25 %; ``next`` has the RMS (cm/s) and the rank of the gaits after each L3, before and after it.
+    25 %; ``next`` has the RMS (cm/s) and the rank of the gaits after each L3, before and after it,
+    where there are :data:`RANKED` or more.
     """
     first = [cycles[0]["transfer"] for cycles in runs if cycles]
     result: dict[str, Any] = {"transfer": 100 * float(np.median(first))} if first else {}
     held_out = [one["held_out"] for cycles in runs for one in cycles if "held_out" in one]
+    held_out = [one for one in held_out if _individuals(one) >= RANKED]
     if held_out:
         result["next"] = {
             when: {
@@ -323,6 +327,11 @@ def agreements(runs: list[list[dict[str, Any]]]) -> dict[str, Any]:
             for when in ("before", "after")
         }
     return result
+
+
+def _individuals(group: dict[str, Any]) -> int:
+    """Return the number of gaits of a group, whose RMS is its norm over the root of that."""
+    return round((group["after"]["norm"] / group["after"]["rms"]) ** 2)
 
 
 def against(
