@@ -10,6 +10,7 @@ import torch
 from processes import finished, process
 from torch.distributions import MultivariateNormal
 
+from neurosim.training.base import minimise
 from neurosim.training.trainers.gaussian_process import unlikelihood
 
 
@@ -79,3 +80,16 @@ def test_the_search_finds_a_minimum_without_pytorchs_compiler():
     values, imported = done.stdout.rsplit(" ", 1)
     assert json.loads(values) == pytest.approx([1.0, 1.0], abs=1e-3), done.stderr
     assert imported == "False\n"
+
+
+@pytest.mark.parametrize("limit", [3.0, 30.0, 300.0])
+def test_a_search_that_steps_over_a_limit_comes_back(limit):
+    """Of -x - 0.5 ln(limit - x), which does not exist beyond it: the minimum is 0.5 before it."""
+    x = torch.zeros(1, dtype=torch.float64)
+
+    def loss():
+        x.grad = 0.5 / (limit - x) - 1.0
+        return (-x - 0.5 * (limit - x).log()).sum()
+
+    minimise([x], loss, steps=100)
+    assert x.item() == pytest.approx(limit - 0.5, abs=1e-3)
