@@ -31,6 +31,7 @@ def tables(**options):
     return TableSimulator(made_up(), lights=made_up_lights(), noise="none", **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(
     "options", [{}, {"drives": False}, {"members": 1, "central": False}], ids=str

@@ -73,6 +73,7 @@ def test_numbers_at_the_ends_of_their_ranges_work(made, tmp_path, line):
     assert (code, fault) == (0, ""), message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

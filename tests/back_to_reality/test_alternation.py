@@ -178,6 +178,7 @@ def test_the_sets_are_spread_by_the_prior(tmp_path):
     assert (sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sets", "prior"), [(2, 0.1), (2, 0.02), (1, 0.1)])
 def test_a_prediction_is_the_mean_over_what_the_parameters_may_be(tmp_path, sets, prior):
     """Within four standard errors of the mean over many sets; with one set, of that alone."""
@@ -225,6 +226,7 @@ def test_l2_begins_at_the_best_in_reality(tmp_path):
     np.testing.assert_allclose((policies.max(axis=0) + policies.min(axis=0)) / 2.0, best)
 
 
+@pytest.mark.slow
 def test_recent_are_the_last_that_were_tried_and_the_best(tmp_path):
     _, rows, parameters = remembered(
         tmp_path, compare="recent", compared=6, policy_steps=0, cycles=2

@@ -113,6 +113,7 @@ def test_a_film_shows_where_the_robot_walks():
     assert true[-1, 0] > 0.05
 
 
+@pytest.mark.slow
 def test_a_film_lasts_five_seconds_at_most():
     walker = VirtualWalker(Gait(), task=Walking(20.0), camera="lab")
     fast = walker.trial(HAND, 0)

@@ -100,6 +100,7 @@ def whole(tmp_path_factory):
     return out, *sampled(out)
 
 
+@pytest.mark.slow
 def test_samples_are_what_the_sensors_see_there(whole):
     out, result, asked, params, arena = whole
     assert asked == ["wall", "cylinder", "open"]
@@ -122,6 +123,7 @@ def test_samples_are_what_the_sensors_see_there(whole):
         assert truth.std() > 0.2
 
 
+@pytest.mark.slow
 def test_the_wheel_base_is_measured(whole):
     _, result, _, params, _ = whole
     # The counters of a turn: the measured distance over the wheels' nominal distance.
@@ -129,11 +131,13 @@ def test_the_wheel_base_is_measured(whole):
     assert result["wheel_base"] == pytest.approx(seen, rel=0.008)
 
 
+@pytest.mark.slow
 def test_the_sizes_of_the_wheels_are_measured(whole):
     _, result, _, params, _ = whole
     assert result["wheel_sizes"] == pytest.approx(params.wheel / params.wheel.mean(), abs=0.003)
 
 
+@pytest.mark.slow
 def test_motors(whole):
     out, result, _, _, _ = whole
     motors = MotorTable.read_csv(out / "motors.csv")
@@ -148,6 +152,7 @@ def test_motors(whole):
     assert json.loads((out / "sampling.json").read_text())["result"] == result
 
 
+@pytest.mark.slow
 def test_how_late_the_robot_is(whole):
     _, result, _, params, _ = whole
     computed = Reaction.from_json(result["reaction"])

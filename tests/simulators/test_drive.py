@@ -376,6 +376,7 @@ KINEMATICS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kinematics", "metres", "radians"), KINEMATICS.values(), ids=KINEMATICS)
 @settings(max_examples=15, deadline=None)
 @given(

@@ -38,6 +38,7 @@ def test_they_are_those_of_finite_differences(simulator):
     assert torch.autograd.gradcheck(poses, free, eps=1e-7, atol=1e-5, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [1, 4])
 def test_they_are_finite_where_a_robot_stands(parts):
     simulator = random_motion_network(1)

@@ -287,6 +287,7 @@ def test_kernel_is_the_tensors(simulator, arena, reaction):
     assert arena.clearance(poses[..., :2]).min() > 0.0275 - 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["uniform", "samples"])
 def test_noise_is_as_wide_as_it_says(simulator, noise):
     motors = MotorTable.ideal()

@@ -337,6 +337,7 @@ def drives(draw):
     return np.array(points)
 
 
+@pytest.mark.slow
 @given(drives(), st.data())
 @settings(max_examples=150, deadline=None)
 def test_the_kernel_agrees_with_the_obvious_way(poses, data):

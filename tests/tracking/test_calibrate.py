@@ -183,6 +183,7 @@ def test_points_that_are_no_numbers():
         locate(TRUTH, [[1.0, 2.0, 3.0]] * 4)
 
 
+@pytest.mark.slow
 def test_photographs_that_will_not_do(tmp_path):
     with pytest.raises(UserError, match="no photographs in this folder"):
         calibrate(tmp_path)

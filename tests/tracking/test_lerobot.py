@@ -50,6 +50,7 @@ def exported(recordings, tmp_path_factory):
     return out, neurosim("export", *recordings, "--to", "lerobot", "-o", out)
 
 
+@pytest.mark.slow
 def test_the_layout_is_that_of_the_format(exported):
     out, warnings = exported
     result = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
@@ -80,6 +81,7 @@ def test_the_layout_is_that_of_the_format(exported):
         assert np.shape(stats[name]["count"]) == (1,)
 
 
+@pytest.mark.slow
 def test_columns_have_the_types_and_shapes_of_their_features(exported):
     out, _ = exported
     info = json.loads((out / "meta" / "info.json").read_text())
@@ -94,6 +96,7 @@ def test_columns_have_the_types_and_shapes_of_their_features(exported):
         assert str(kind) == {"float32": "float", "int64": "int64"}[feature["dtype"]]
 
 
+@pytest.mark.slow
 def test_episodes_say_where_their_rows_and_frames_are(exported):
     out, _ = exported
     info = json.loads((out / "meta" / "info.json").read_text())
@@ -157,6 +160,7 @@ def test_actions_poses_and_pictures_are_the_recordings(recordings, exported):
     assert abs(int(np.argmin(differences)) - where) <= 1
 
 
+@pytest.mark.slow
 def test_another_reader_takes_it(exported):
     reader = LeRobotReader(exported[0])
     assert (reader.version, reader.episodes()) == ("v3", [0, 1])
@@ -164,6 +168,7 @@ def test_another_reader_takes_it(exported):
     assert {"/action", "/observation.state"} <= {chunk.entity_path for chunk in chunks}
 
 
+@pytest.mark.slow
 def test_readings_and_rates(recordings, tmp_path):
     shutil.copytree(recordings[0], tmp_path / "a")
     recording = Recording(tmp_path / "a")
@@ -184,6 +189,7 @@ def test_readings_and_rates(recordings, tmp_path):
     assert not (tmp_path / "both").exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_exported(recordings, tmp_path, monkeypatch):
     def export(*words):
         return CliRunner().invoke(cli, ["export", *map(str, words)], catch_exceptions=False)

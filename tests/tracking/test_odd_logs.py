@@ -190,6 +190,7 @@ def test_a_slow_body_is_no_other_clock(imported):
     assert "clock" not in imported(time, poses, commands)[1]
 
 
+@pytest.mark.slow
 def test_a_robots_own_delay_is_left_to_training(imported):
     time, poses, commands = drive(120.0, lag=0.1)
     late = np.vstack([np.repeat(commands[:1], 6, axis=0), commands[:-6]])  # 0.3 s
@@ -200,6 +201,7 @@ def test_a_robots_own_delay_is_left_to_training(imported):
     assert clocks.lateness(log).delay == pytest.approx(0.3, abs=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "conventions"),
     [
@@ -319,6 +321,7 @@ def test_rows_that_follow_one_another_by_hand():
     assert left_out["gap"] == 3
 
 
+@pytest.mark.slow
 def test_windows_where_few_commands_were_held(imported):
     rng = np.random.default_rng(7)
     commands = np.repeat(rng.uniform(-1, 1, (600, 2)) * (0.3, 1.5), 2, axis=0)
@@ -367,6 +370,7 @@ def counted_wheels(poses, ticks=3000.0, track=0.2):
     return np.floor(counts) % 2**16
 
 
+@pytest.mark.slow
 def test_counters_of_wheels_become_how_fast_they_count(imported):
     time, poses, _ = drive(120.0)
     counts = counted_wheels(poses)

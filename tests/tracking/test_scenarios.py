@@ -21,6 +21,7 @@ def tracked(name, seconds, method=Colours, *carried, every=1, seed=1):
     return rate([(frame, estimate(frame.picture, frame.time)) for frame in frames])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["clean", "square", "lamp", "blur", "others", "tilted"])
 def test_a_millimetre_and_a_third_of_a_degree(name):
     seen = tracked(name, 0.7)
@@ -30,6 +31,7 @@ def test_a_millimetre_and_a_third_of_a_degree(name):
     assert seen["false"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tag", [ARUCO, Tag(number=7)], ids=str)
 @pytest.mark.parametrize("name", ["clean", "blur", "tilted"])
 def test_a_tag_to_a_fifth_of_a_millimetre_and_of_a_degree(name, tag):

@@ -127,6 +127,7 @@ def test_a_hidden_marker_is_not_replaced_by_another_of_its_colour():
         assert tracker.update(frame, i / FPS).in_view != hidden
 
 
+@pytest.mark.slow
 def test_found_again_wherever_a_hand_put_it_and_never_swapped():
     rng, tracker = np.random.default_rng(4), new_tracker()
     for i in range(12):
@@ -251,6 +252,7 @@ def test_the_light_may_change(shared_data, colours, light):
             assert dim.confidence > 0.8 * bright.confidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grey", [0, 2, 6])
 def test_a_covered_lens_is_no_other_light(grey):
     rng, tracker, seen = np.random.default_rng(3), new_tracker(), []
@@ -380,6 +382,7 @@ PLATES = {
 }
 
 
+@pytest.mark.slow
 def test_every_marker_that_stands_still_stays_still(shared_data):
     with Video(shared_data / "footage" / "field-static.mp4") as video:
         trackers = {

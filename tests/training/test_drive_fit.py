@@ -124,6 +124,7 @@ def test_what_a_robot_loses_in_curves_is_found():
     assert fit.drive.losses[:, 2].tolist() == pytest.approx([0.5, -0.5], rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_robot_that_loses_nothing_in_curves_has_no_losses():
     assert not fit_drive(in_curves(0.0, 0.0)).drive.losses.any()
 
@@ -180,6 +181,7 @@ def test_quadratic_drag_is_found_where_there_is_one():
     assert fit_drive(heavy(2.5, 0.5)).drive.drag.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_wheels_with_lags_of_their_own_have_no_modes():
     drive = fit_drive(heavy(0.3, 0.15, modes=False)).drive
     assert torch.equal(drive.modes, torch.eye(2, dtype=torch.float64))

@@ -103,6 +103,7 @@ def test_a_network_on_the_nxt_goes_by_its_light_sensors(tmp_path):
     assert len(report["commands"]) < 20
 
 
+@pytest.mark.slow
 def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
     task = GoTo(goals=((0.2, 0.05, 0.0), (0.4, 0.0, 0.0)), seconds=3.0, step=0.1, tolerance=0.1)
     family = Network(("goal_x", "goal_y", "cos_heading"), scale=50.0)
