@@ -331,7 +331,8 @@ def agreements(runs: list[list[dict[str, Any]]]) -> dict[str, Any]:
 
 def _individuals(group: dict[str, Any]) -> int:
     """Return the number of gaits of a group, whose RMS is its norm over the root of that."""
-    return round((group["after"]["norm"] / group["after"]["rms"]) ** 2)
+    norm, rms = (group["after"][what] for what in ("norm", "rms"))
+    return round((norm / rms) ** 2) if rms else 0
 
 
 def against(

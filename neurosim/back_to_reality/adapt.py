@@ -153,15 +153,17 @@ def agreement(
             is the mean over these sets, and paths are those of the first one.
 
     Returns:
-        ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their
-        ``rms`` and ``median`` (absolute), and the ``rank`` correlation (Spearman; None where all
-        are equal); ``poses`` (m, of :func:`paths_apart`) where they were tracked.
+        ``individuals``; their ``real`` fitness, ``simulated_before`` and ``simulated_after``; and
+        for ``before`` and ``after`` the ``norm`` of the differences, their ``rms`` and ``median``
+        (absolute), and the ``rank`` correlation (Spearman; None where all are equal); ``poses``
+        (m, of :func:`paths_apart`) where they were tracked.
     """
     real = compared.fitness
-    result: dict[str, Any] = {"individuals": len(real)}
+    result: dict[str, Any] = {"individuals": len(real), "real": real.tolist()}
     for name, sets in (("before", before), ("after", after)):
         fitness = compared.simulated.expected(compared.genes, sets)
         apart = np.abs(fitness - real)
+        result[f"simulated_{name}"] = fitness.tolist()
         result[name] = {
             "norm": float(np.linalg.norm(apart)),
             "rms": float(np.sqrt(np.mean(apart**2))),

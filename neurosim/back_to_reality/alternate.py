@@ -284,15 +284,18 @@ class Alternation:
             return np.empty((0, self._simulated.genes)), np.empty(0)
         genes = np.stack(chosen)
         real = self._try(genes, f"cycle {cycle + 1}, L1")
-        simulated = self._simulated.expected(genes, self._foreseen())
+        adapted = self.cycles[cycle - 1].get("L3") if cycle else None
+        if adapted is None:
+            simulated = self._simulated.expected(genes, self._foreseen())
+        else:
+            adapted["held_out"] = held_out = self._agreement(cycle - 1, genes, real)
+            simulated = np.array(held_out["simulated_after"])
         works = np.abs(simulated - real) <= 0.25 * np.maximum(real, simulated)
         self.cycles[cycle]["transfer"] = {
             "simulated": simulated.tolist(),
             "real": real.tolist(),
             "works": float(np.mean(works & (real > 0.0))),
         }
-        if cycle and "L3" in self.cycles[cycle - 1]:
-            self.cycles[cycle - 1]["L3"]["held_out"] = self._agreement(cycle - 1, genes, real)
         return genes, real
 
     # L3
@@ -322,17 +325,11 @@ class Alternation:
         self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
         before = self._foreseen()
         self._now = best_set(ten, climb, self._now)
-        after = self._foreseen()
-        self._adapted[cycle] = before, after
+        self._adapted[cycle] = before, self._foreseen()
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
             "parameters": [self._named(self._now)],
-            "compared": {
-                **self._agreement(cycle, ten.genes, ten.fitness),
-                "real": ten.fitness.tolist(),
-                "simulated_before": self._simulated.expected(ten.genes, before).tolist(),
-                "simulated_after": self._simulated.expected(ten.genes, after).tolist(),
-            },
+            "compared": self._agreement(cycle, ten.genes, ten.fitness),
         }
         if left_out is not None and len(left_out[0]):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)

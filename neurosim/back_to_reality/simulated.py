@@ -134,5 +134,5 @@ class Simulated:
         It is a better prediction than that of the best set alone: whether a gait falls is a matter
         of chance, and the sets say how likely it is.
         """
-        mean: NDArray[np.float64] = np.mean([self.fitness(genes, one) for one in sets], axis=0)
+        mean: NDArray[np.float64] = self.over(genes, sets).mean(axis=0)
         return mean

@@ -60,10 +60,11 @@ STRETCHES = 24
 UNPROVEN = 0.5
 #: Rows for each unit of the Gaussian process, beyond the first number of units.
 ROWS_PER_CENTRE = 3
-#: Number of rows that parts of commands, which repeat the same noise, count as for it: those of one
-#: command, and of all. Where rows are few, they tell how it depends on the time; but they make that
-#: of whole commands too wide (by a tenth for three robots of 400 rows if each counted as one).
-PARTS_OF_ONE, PARTS_OF_ALL = 1.0, 80.0
+#: Number of rows that parts of all commands together count as for the noise, at most; those of one
+#: command repeat the same noise, and count as one row. Where rows are few, they tell how it depends
+#: on the time; but they make that of whole commands too wide (by a tenth for three robots of 400
+#: rows without this limit).
+NOISE_PARTS = 80.0
 #: Number of rows up to which a drive model's residuals on its own rows are much smaller than on
 #: others.
 FEW = 250
@@ -686,7 +687,7 @@ class CombinedTrainer:
             mean = simulator.from_outputs(unseen[some], rows.x[some])
         weight = torch.ones_like(rows.weight)
         parts = self._command[whole:]
-        counts = min(PARTS_OF_ONE, PARTS_OF_ALL / whole)
+        counts = min(1.0, NOISE_PARTS / whole)
         weight[whole:] = counts / parts.bincount(minlength=whole)[parts]
         noise = fit_noise(self._columns, rows.x[some], mean, moved[some], weight[some])
         return noise.times(OF_HALVES) if few else noise
