@@ -153,7 +153,9 @@ def _agreement(one: Artefact) -> Table:
         rows,
         groups=[("", 1), *((words, 2) for words in measures.values())],
         note="Norm and median of the absolute differences in fitness; rank correlation is "
-        "Spearman's. Controllers of the next round and neighbours were not seen by L3.",
+        "Spearman's. Controllers of the next round and neighbours were not seen by L3. If the "
+        "controllers were evolved in several random parameter sets, the fitness in the simulator "
+        "is a mean over such sets.",
     )
 
 
