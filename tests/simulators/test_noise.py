@@ -18,6 +18,7 @@ from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.noise import (
     DRAWS,
     HEAVIEST,
+    SCALE_FEATURES,
     CommandFeatures,
     NoiseModel,
     cholesky,
@@ -193,6 +194,22 @@ def test_what_happens_in_the_motion_worked_by_hand():
     numbers["sources"][0] = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     moved = disturb(NoiseModel(**numbers), columns, x, circle, torch.eye(1, DRAWS).double())
     assert residual(circle, moved)[0].tolist() == pytest.approx([0.1 * math.pi, -0.2, 0.0])
+
+
+def test_what_the_start_adds_is_complete_after_a_while_worked_by_hand():
+    numbers = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
+    numbers["unit"] = torch.tensor([1.0, 0.1, 0.1])
+    numbers["log_scale"][:, 0], numbers["tail"][0] = math.log(0.01), -40.0
+    numbers["log_scale"][0, SCALE_FEATURES.index("moved")] = 1.0
+    noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
+    x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64).expand(4, -1)
+    ahead = torch.tensor([[0.0], [0.1], [0.2], [20.0]], dtype=torch.float64)
+    mean = torch.cat([ahead, 0.0 * ahead, 0.0 * ahead], dim=1)
+    made = residual(mean, disturb(noise, columns, x, mean, torch.ones(4, DRAWS).double()))
+    # Of m units moved, m / (m + 2) + 0.02: 0, 1, 2 and 200 units. Only the turn depends on them.
+    expected = [0.01 * 0.02, 0.01 * (1 / 3 + 0.02), 0.01 * 0.52, 0.01 * (200 / 202 + 0.02)]
+    assert made[:, 0].tolist() == pytest.approx(expected)
+    assert made[:, 1:].flatten().tolist() == pytest.approx([0.01] * 8)
 
 
 def test_tails_have_a_limit():

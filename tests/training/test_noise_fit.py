@@ -85,6 +85,23 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
 
 
+def test_what_strays_at_its_start_is_found_again():
+    """A command that moves nothing is far more exact than others; a long one adds little."""
+    log_scale = torch.zeros(NoiseModel.SHAPES["log_scale"])
+    log_scale[:, 0] = torch.tensor([0.05, 0.005, 0.002]).log()
+    log_scale[:, SCALE_FEATURES.index("moved")] = 1.0
+    x, y, mean, noise = recorded(3000, log_scale=log_scale)
+    columns = CommandFeatures.of(NAMES)
+    fitted_noise = fit_noise(columns, x, mean, y)
+    size = mean[:, :2].norm(dim=1) / 0.1 + mean[:, 2].abs()
+    for low, high in ((0.3, 0.5), (1.0, 2.0), (2.0, 4.0)):
+        some = (size > low) & (size < high)
+        assert some.sum() > 50
+        sizes = [typical_size(model, columns, x, mean)[some] for model in (noise, fitted_noise)]
+        ratio = (sizes[1] / sizes[0]).log().mean(0).exp()
+        assert ratio.tolist() == pytest.approx([1.0] * 3, abs=0.15)
+
+
 @pytest.mark.slow
 def test_the_likelihood_and_its_derivatives_are_those_of_a_mixture_of_normal_distributions():
     generator = torch.Generator().manual_seed(3)

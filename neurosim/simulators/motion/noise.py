@@ -23,8 +23,10 @@ effects compensate each other in the chord.
 
 The rest has heavy tails, as if its scale itself were uncertain (Clark 1973, Econometrica
 41): g is standard normal, the same for all three, and ln s and :math:`\ln \tau` are linear in
-features of the command: its suddenness, its duration, and the speed of the motors before it (after
-a stop the caster's direction is unknown); tau also depends on distance and turn.
+features of the command: its suddenness, its duration, the speed of the motors before it (after a
+stop the caster's direction is unknown), and the motion that follows: a robot that stands does not
+stray, and what the start adds is complete after a few centimetres. :math:`\tau` depends on distance
+and turn.
 """
 
 from __future__ import annotations
@@ -51,8 +53,11 @@ TINY = 1e-30
 HEAVIEST = 1.5
 
 #: Features of ln s and of ln tau, which are linear in them; see :func:`features`.
-SCALE_FEATURES = ("one", "jump", "reversal", "time", "before")
+SCALE_FEATURES = ("one", "jump", "reversal", "time", "before", "moved")
 TAIL_FEATURES = ("one", "travel", "turn")
+
+#: Size of a twist, in units, beyond which more motion changes ln s little.
+FULLY_MOVED = 2.0
 
 #: Number of sources of noise during the motion.
 SOURCES = 3
@@ -143,7 +148,7 @@ class CommandFeatures:
 def features(
     unit: Tensor, columns: CommandFeatures, inputs: Tensor, mean: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the features of the noise's size and tails, without those of the motion itself.
+    """Return the features of ln s and of ln tau.
 
     Args:
         unit: of the noise model, [3].
@@ -164,6 +169,7 @@ def features(
         jump = jump + (u - v).abs()
         reversal = reversal + (-u * v).clamp(min=0.0)
         speed = speed + v.abs() / len(columns.driven)
+    size = arcs(unit, mean)[0].norm(dim=-1)
     reverses = reversal > 0.0  # the square root has no gradient at 0
     scale = [
         one,
@@ -171,6 +177,7 @@ def features(
         torch.where(reverses, torch.where(reverses, reversal, 1.0).sqrt(), 0.0),
         (duration + 0.02).log(),
         (speed + 0.02).log(),
+        (size / (size + FULLY_MOVED) + 0.02).log(),
     ]
     turn = (mean[:, 2] / unit[0]).abs()
     tail = [one, (travel + 0.01).log(), (turn + 0.02).log()]
