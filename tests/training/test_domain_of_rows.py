@@ -56,14 +56,14 @@ def farthest_members(data, seed):
     low, high = np.array(list(simulator.domain.values())).T
     random = rng.uniform(low, high, (20 * rows, 3))
     random = random[simulator.supported(random)][: 6 * rows]
-    commands = torch.from_numpy(random).reshape(6, rows, 3)
     every = torch.arange(simulator.members).repeat_interleave(rows)
-    state = simulator.start_as(torch.zeros(len(every), 3, dtype=torch.float64), every)
+    start = torch.zeros(len(every), 3, dtype=torch.float64)
+    state, stepper = simulator.start_as(start, every).numpy(), simulator.stepper()
     apart = np.zeros(3)
-    for command in commands:
-        before = state[:, :3].numpy()
-        state = simulator.step(state, command.repeat(simulator.members, 1))
-        distance = se2.between(before, state[:, :3].numpy()).reshape(-1, rows, 3)
+    for command in random.reshape(6, rows, 3):
+        before = state
+        state = stepper.step(before, np.tile(command, (simulator.members, 1)), None)
+        distance = se2.between(before[:, :3], state[:, :3]).reshape(-1, rows, 3)
         off = np.abs(distance - np.median(distance, axis=0)).max(axis=(0, 1))
         apart = np.maximum(apart, off)
     return apart
