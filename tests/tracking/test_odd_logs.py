@@ -260,8 +260,76 @@ def test_headings_that_do_not_fit_the_motion(imported):
     kept, warnings = imported(time, wrong, commands, settings=Settings(keep=True))
     assert "headings" not in warnings
     assert len(kept) > len(made)
-    _, warnings = imported(time, poses + np.array([0, 0, 1.5]), commands)  # it drives sideways
+    whole, _ = imported(time, poses, commands)
+    made, warnings = imported(time, poses + np.array([0, 0, 1.5]), commands)  # it drives sideways
+    assert "headings do not fit" not in warnings
+    assert len(made) == len(whole)
+
+
+@pytest.mark.parametrize("wrong", ["turned", "swapped", "mirrored", "clockwise"])
+def test_headings_that_fit_nowhere(imported, wrong):
+    time, poses, commands = drive()
+    x, y, heading = poses.T
+    other = {
+        "turned": (x, y, heading + np.pi / 2),
+        "swapped": (y, x, heading),
+        "mirrored": (x, -y, heading),
+        "clockwise": (x, y, -heading),
+    }[wrong]
+    _, warnings = imported(time, np.column_stack(other), commands)
+    assert "degrees off its headings (median): are x and y swapped, is one mirrored" in warnings
+    assert warnings.count("\n") == 0  # a unit would be the wrong advice
+    # With three commands it may go sideways.
+    more = np.column_stack([commands, np.roll(commands[:, 0], 7)])
+    _, warnings = imported(time, np.column_stack(other), more, "v,w,u")
     assert "headings" not in warnings
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (-1.0, -1.0, -1.0), (0.0, 0.0, None)])
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_the_place_of_a_robot_that_is_lost(imported, place, share):
+    time, poses, commands = drive()
+    poses[:, :2] += (4.0, 5.0)
+    whole, _ = imported(time, poses, commands)
+    lost = poses.copy()
+    rows = np.random.default_rng(5).random(len(time)) < share
+    rows[0] = rows[-1] = False
+    for column, value in enumerate(place):
+        if value is not None:
+            lost[rows, column] = value
+    made, warnings = imported(time, lost, commands)
+    at = f"{rows.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m"
+    assert at in warnings
+    assert warnings.count("\n") == 0
+    assert len(made) >= len(whole) - 2
+    # Between poses that are seen it is interpolated.
+    largest = np.abs(whole.output_array()[:, :2]).max()
+    assert np.abs(made.output_array()[:, :2]).max() < 1.02 * largest
+    kept, _ = imported(time, lost, commands, settings=Settings(keep=True))
+    assert np.abs(kept.output_array()[:, :2]).max() > 4.0
+
+
+def test_many_outliers_at_different_places_are_left_out(imported):
+    time, poses, commands = drive()
+    whole, _ = imported(time, poses, commands)
+    wrong, rng = poses.copy(), np.random.default_rng(6)
+    wrong[20::50, :2] += rng.uniform(1.0, 3.0, (len(wrong[20::50]), 2))
+    made, warnings = imported(time, wrong, commands)
+    assert warnings == ""
+    assert np.abs(made.output_array() - whole.output_array()).max() < 0.02
+
+
+def test_a_robot_that_is_put_back_every_few_seconds(imported):
+    time, poses, commands = drive()
+    for begin in range(0, len(time), 70):
+        own = slice(begin, begin + 70)
+        poses[own] = se2.between(poses[begin], poses[own])
+    made, warnings = imported(time, poses, commands)
+    far = np.hypot(*poses[69:-1:70, :2].T) > 0.1  # others are nearly where they began
+    assert far.sum() > 12
+    assert f"the pose jumps {far.sum()} times" in warnings
+    speed = np.hypot(*made.output_array()[:, :2].T) / made.input_array()[:, -1]
+    assert speed.max() < 0.32
 
 
 def test_commands_that_were_measured_or_never_change(imported):

@@ -28,7 +28,7 @@ from neurosim.base.errors import FileError, UserError, counted
 from tracking.datasets import logs, suspicious
 from tracking.datasets.clocks import in_step
 from tracking.datasets.dataset import OUTPUTS, Dataset, make
-from tracking.datasets.sessions import check_labels, sessions_of
+from tracking.datasets.sessions import check_labels, sessions_of, without_lost
 from tracking.datasets.suspicious import TIMES, Conventions
 
 #: Columns of a log, in addition to the commands.
@@ -321,9 +321,9 @@ def _rate(time: NDArray, counts: NDArray) -> NDArray:
 
 def _in_degrees(table: _Table) -> bool:
     """Return whether a log's headings look as if they were in degrees."""
-    heading = table.numbers("heading", optional=True)
-    seen = np.isfinite(heading)
-    return suspicious.like_degrees(table.numbers("time")[seen], heading[seen])
+    poses, _ = without_lost(table.array(LOG[1:], optional=True))
+    seen = np.isfinite(poses).all(axis=1)
+    return suspicious.like_degrees(table.numbers("time")[seen], poses[seen, 2])
 
 
 def _explain(

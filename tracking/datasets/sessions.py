@@ -14,6 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from neurosim.base import se2
@@ -22,9 +23,12 @@ from tracking.datasets.logs import Log, Settings, is_known
 
 #: Silence of the clock, in multiples of the longest gap, that separates drives.
 _SILENCE = 10.0
-#: Speed of a jump, in multiples of the speed of all but 1 % of the steps, and of that of the three
-#: steps before and after it.
+#: Speed of a jump, in multiples of the speed of all but 5 % of the steps, of that of all but 1 % of
+#: the steps after a median over 7, and of that of the three steps before and after it.
 _JUMP, _OVER_NEIGHBOURS = 4.0, 8.0
+#: Times that a robot is taken to jump to exactly the same place and away, before this place is taken
+#: for the sign of a robot that is lost.
+_LOST = 5
 #: Duration over which courses are computed, s; largest difference of headings from them, rad.
 _COURSE, _FITS = 0.5, 0.6
 #: Largest median difference, rad, at which other headings count as wrong.
@@ -55,6 +59,8 @@ def sessions_of(
         The drives with at least two samples and a pose, and a sentence for each finding.
     """
     warnings: list[str] = []
+    if not settings.keep:
+        poses, warnings = without_lost(poses)
     begins = _begins(time, settings, labels)
     parts = np.split(np.arange(len(time)), begins)
     if labels is None and len(begins):
@@ -100,6 +106,35 @@ def sessions_of(
             f"{', ...' * (len(wrong) > 5)} s; left out; --keep keeps them"
         )
     return [log for log, _ in kept if len(log.pose_time)], warnings
+
+
+def without_lost(poses: NDArray) -> tuple[NDArray, list[str]]:
+    """Return poses (N, 3) with NaN where they say that the robot is lost, and a sentence on it.
+
+    Many trackers then write the same place, such as 0, 0. The robot seems to jump there, and back.
+
+    Args:
+        poses: x, y in m, and heading.
+    """
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    moves = steps[steps > 0]
+    if len(moves) < 8:
+        return poses, []
+    far = steps > _OVER_NEIGHBOURS * np.median(moves)
+    arrives, leaves = (np.zeros(len(poses), np.bool_) for _ in range(2))
+    arrives[1:], leaves[:-1] = far, far
+    places, which = np.unique(poses[arrives, :2], axis=0, return_counts=True)
+    warnings = []
+    for place in places[which >= _LOST]:
+        there = (poses[:, :2] == place).all(axis=1)
+        came, went = int((there & arrives).sum()), int((there & leaves).sum())
+        if went > came / 2:
+            poses = np.where(there[:, None], np.nan, poses)
+            warnings.append(
+                f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, where "
+                f"it jumps {_times(came)}: it counts as not seen there; --keep keeps them"
+            )
+    return poses, warnings
 
 
 def _times(count: int) -> str:
@@ -191,7 +226,9 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     # The noise between two close samples, such as an additional one at a command, is not a jump.
     steps = np.maximum(steps, np.median(steps) / 2)
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
-    limit = _JUMP * np.quantile(speed, 0.99)
+    around = sliding_window_view(np.pad(speed, 3, mode="edge"), 7)
+    limit = max(np.quantile(speed, 0.95), np.quantile(np.median(around, axis=1), 0.99))
+    limit = min(_JUMP * limit, _JUMP * np.quantile(speed, 0.99))
     jumps = []
     for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
         neighbours = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]

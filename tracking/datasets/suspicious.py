@@ -35,6 +35,9 @@ _RIGHT = "commands, speeds and times do not fit each other: they would with {}"
 _SPAN = 0.1
 #: Smallest number of samples of the motion, and fraction of its variance that counters explain.
 _FEW, _COUNTED = 30, 0.5
+#: Median angle between heading and way, rad, from which they do not fit each other: a robot that
+#: slips is below it.
+_ASIDE = 0.6
 #: Fraction of changing lines above which a command counts as measured or computed.
 _ALWAYS = 0.9
 
@@ -145,6 +148,8 @@ def suspicions(
     """
     if len(moved.twist) < 8:
         return []
+    if sideways := _sideways(moved, names):
+        return [*_constant(moved, names), *sideways]
     return [
         *_constant(moved, names),
         *_units(moved, names, units, given, read or given),
@@ -162,6 +167,22 @@ def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
             "the robot never moves: look whether x, y and heading are the right --columns"
         )
     return warnings
+
+
+def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
+    """Return a sentence if a robot of two commands goes sideways; its speeds then say nothing."""
+    speed = np.hypot(moved.twist[:, 0], moved.twist[:, 1])
+    fast = speed > 0.3 * np.quantile(speed, 0.95)
+    if len(names) > 2 or fast.sum() < 8:
+        return []
+    course = np.arctan2(moved.twist[fast, 1], moved.twist[fast, 0])
+    off = float(np.median(np.abs((course + np.pi / 2) % np.pi - np.pi / 2)))
+    if off < _ASIDE:
+        return []
+    return [
+        f"the robot goes {math.degrees(off):.0f} degrees off its headings (median): are x and y "
+        "swapped, is one mirrored, or is heading 0 not along x? Headings grow from x to y"
+    ]
 
 
 def _gains(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> dict[str, float]:
