@@ -14,8 +14,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
 
+from neurosim.lab.nxt.body import NxtBody
 from neurosim.robots.nxt.driver import VIRTUAL_ADDRESS
 
 DIRECT, SYSTEM, REPLY, NO_REPLY = 0x00, 0x01, 0x02, 0x80
@@ -53,64 +53,6 @@ MAILBOXES, MAILBOX_DEPTH, MESSAGE_SIZE = 20, 5, 59
 I2C_SIZE = 16
 
 
-class Output(Protocol):
-    """One motor port: its last settings, and its three counters in degrees."""
-
-    power: int
-    mode: int
-    regulation: int
-    turn_ratio: int
-    run_state: int
-    tacho_limit: int
-    tacho_count: int
-    block_tacho_count: int
-    rotation_count: int
-
-
-class Hardware(Protocol):
-    """The body behind the brick: three motor ports, four sensor ports, a battery.
-
-    All calls are made with the brick's lock held and take effect at the lab's current time.
-    """
-
-    def set_output(
-        self,
-        port: int,
-        power: int,
-        mode: int,
-        regulation: int,
-        turn_ratio: int,
-        run_state: int,
-        tacho_limit: int,
-    ) -> None:
-        """Set a motor port (0 to 2), in the protocol's own numbers."""
-        ...
-
-    def output(self, port: int) -> Output:
-        """Return the state of a motor port (0 to 2)."""
-        ...
-
-    def reset_tacho(self, port: int, relative: bool) -> None:
-        """Zero the block counter of a motor port if ``relative``, else the program counter."""
-        ...
-
-    def set_input(self, port: int, type: int, mode: int) -> None:
-        """Set the use of a sensor port (0 to 3), which also switches the sensor's lamp."""
-        ...
-
-    def input(self, port: int) -> tuple[bool, int, int, int]:
-        """Return (valid, raw, type, mode) of a sensor port (0 to 3).
-
-        ``raw`` is 0 to 1023 over the span of the sensor, lower where a light, sound or
-        colour sensor sees or hears more.
-        """
-        ...
-
-    def battery_millivolts(self) -> int:
-        """Return the battery's voltage in millivolts."""
-        ...
-
-
 class Refused(Exception):
     """A telegram answered by an error status and, as the firmware does, a padded body."""
 
@@ -133,7 +75,7 @@ class VirtualBrick:
     """Answers LEGO's telegrams and moves a body by them.
 
     Args:
-        hardware: the body.
+        hardware: the body; it is used with the lock held, at the lab's current time.
         name: the brick's name, up to 14 ASCII characters.
         address: its Bluetooth address; by default the one that marks a virtual brick.
         lock: held while a telegram is carried out; the lab gives its own.
@@ -145,7 +87,7 @@ class VirtualBrick:
 
     def __init__(
         self,
-        hardware: Hardware,
+        hardware: NxtBody,
         name: str = "NXT",
         *,
         address: str = VIRTUAL_ADDRESS + ":00:00:01",

@@ -13,11 +13,10 @@ import os
 import socket
 import struct
 import threading
-from typing import Protocol
 
 import numpy as np
 
-from neurosim.lab.nxt.brick import DIRECT, NO_REPLY, SYSTEM, telegram_length
+from neurosim.lab.nxt.brick import DIRECT, NO_REPLY, SYSTEM, VirtualBrick, telegram_length
 from neurosim.lab.server import PtyEnd, Server, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 
@@ -27,14 +26,6 @@ LONGEST = 128
 REST_WITHIN = 0.5
 #: Bluetooth's shortest exchange, two slots of 625 microseconds.
 SPACING = 0.00125
-
-
-class Handler(Protocol):
-    """An object that answers telegrams: a :class:`neurosim.lab.nxt.brick.VirtualBrick`."""
-
-    def handle(self, telegram: bytes) -> bytes | None:
-        """Carry out one telegram; return the reply, or None if there is no reply."""
-        ...
 
 
 class Radio:
@@ -49,7 +40,7 @@ class Radio:
     the same time, even on a slow computer.
 
     Args:
-        brick: the answering object.
+        brick: the one that answers the telegrams.
         clock: the lab's clock; ``sleep_until`` advances the lab to a time.
         rng: draws the delays; may be None if ``jitter`` is 0.
         delay: mean delay one way, s.
@@ -66,7 +57,7 @@ class Radio:
 
     def __init__(
         self,
-        brick: Handler,
+        brick: VirtualBrick,
         clock: Clock,
         rng: np.random.Generator | None = None,
         *,
