@@ -129,15 +129,6 @@ class VirtualBrick:
             return None
         return bytes([REPLY, opcode, status]) + answer
 
-    def _start_program(self, body: bytes) -> bytes:
-        raise Refused(OUT_OF_RANGE)
-
-    def _stop_program(self, body: bytes) -> bytes:
-        raise Refused(NO_PROGRAM)
-
-    def _play_sound_file(self, body: bytes) -> bytes:
-        raise Refused(OUT_OF_RANGE)
-
     def _nothing(self, body: bytes) -> bytes:
         return b""
 
@@ -240,9 +231,6 @@ class VirtualBrick:
         self._i2c_status(body[0])
         return bytes(1 + I2C_SIZE)
 
-    def _current_program(self, body: bytes) -> bytes:
-        raise Refused(NO_PROGRAM)
-
     def _message_write(self, body: bytes) -> bytes:
         box, size = body[:2]
         if box >= MAILBOXES:
@@ -263,18 +251,6 @@ class VirtualBrick:
         message = box.popleft() if remove else box[0]
         return bytes([local, len(message)]) + message.ljust(MESSAGE_SIZE, b"\0")
 
-    def _no_space(self, body: bytes) -> bytes:
-        raise Refused(NO_SPACE)
-
-    def _no_file(self, body: bytes) -> bytes:
-        raise Refused(FILE_NOT_FOUND)
-
-    def _no_handle(self, body: bytes) -> bytes:
-        raise Refused(ILLEGAL_HANDLE)
-
-    def _no_module(self, body: bytes) -> bytes:
-        raise Refused(MODULE_NOT_FOUND)
-
     def _versions(self, body: bytes) -> bytes:
         protocol, firmware = self.protocol_version, self.firmware_version
         return bytes([protocol[1], protocol[0], firmware[1], firmware[0]])
@@ -290,10 +266,6 @@ class VirtualBrick:
         name = self.name.encode("ascii", "replace")[:14].ljust(15, b"\0")
         signal_strengths, free_flash = bytes(4), 0
         return name + self._address(body) + signal_strengths + struct.pack("<I", free_flash)
-
-    def _poll_length(self, body: bytes) -> bytes:
-        _require(body[0] <= 1)
-        return bytes([body[0], 0])
 
     def _poll(self, body: bytes) -> bytes:
         _require(body[0] <= 1)
@@ -362,14 +334,23 @@ def _exactly(length: int) -> range:
     return range(length, length + 1)
 
 
+def _refused(status: int) -> Callable[[VirtualBrick, bytes], bytes]:
+    """Return the answer of an opcode that always fails: the brick has no programs and no files."""
+
+    def answer(brick: VirtualBrick, body: bytes) -> bytes:
+        raise Refused(status)
+
+    return answer
+
+
 _B = VirtualBrick
 _FILENAME = range(1, 21)
 _NO_BODY = _exactly(0)
 
 _DIRECT = {
-    0x00: _Command(_B._start_program, _FILENAME),
-    0x01: _Command(_B._stop_program, _NO_BODY),
-    0x02: _Command(_B._play_sound_file, range(2, 22)),
+    0x00: _Command(_refused(OUT_OF_RANGE), _FILENAME),
+    0x01: _Command(_refused(NO_PROGRAM), _NO_BODY),
+    0x02: _Command(_refused(OUT_OF_RANGE), range(2, 22)),
     0x03: _Command(_B._nothing, _exactly(4)),
     # Appendix 2 gives the tacho limit five bytes, and some clients send the fifth.
     0x04: _Command(_B._set_output_state, range(10, 12)),
@@ -385,34 +366,34 @@ _DIRECT = {
     0x0E: _Command(_B._ls_get_status, _exactly(1), bytes(1)),
     0x0F: _Command(_B._ls_write, range(3, 3 + I2C_SIZE + 1)),
     0x10: _Command(_B._ls_read, _exactly(1), bytes(1 + I2C_SIZE)),
-    0x11: _Command(_B._current_program, _NO_BODY, bytes(20)),
+    0x11: _Command(_refused(NO_PROGRAM), _NO_BODY, bytes(20)),
     0x13: _Command(_B._message_read, _exactly(3), bytes(2 + MESSAGE_SIZE)),
 }
 
 _SYSTEM = {
-    0x80: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x81: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x82: _Command(_B._no_handle, _exactly(3), bytes(3)),
-    0x83: _Command(_B._no_handle, range(1, 120), bytes(3)),
-    0x84: _Command(_B._no_handle, _exactly(1), bytes(1)),
-    0x85: _Command(_B._no_file, _FILENAME, bytes(20)),
-    0x86: _Command(_B._no_file, _FILENAME, bytes(25)),
-    0x87: _Command(_B._no_handle, _exactly(1), bytes(25)),
+    0x80: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x81: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x82: _Command(_refused(ILLEGAL_HANDLE), _exactly(3), bytes(3)),
+    0x83: _Command(_refused(ILLEGAL_HANDLE), range(1, 120), bytes(3)),
+    0x84: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(1)),
+    0x85: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(20)),
+    0x86: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(25)),
+    0x87: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(25)),
     0x88: _Command(_B._versions, _NO_BODY, bytes(4)),
-    0x89: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x8A: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x8B: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x8C: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x90: _Command(_B._no_module, _FILENAME, bytes(31)),
-    0x91: _Command(_B._no_handle, _exactly(1), bytes(31)),
-    0x92: _Command(_B._no_handle, _exactly(1), bytes(1)),
-    0x94: _Command(_B._no_module, _exactly(8), bytes(6)),
-    0x95: _Command(_B._no_module, range(8, 120), bytes(6)),
+    0x89: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x8A: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x8B: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x8C: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x90: _Command(_refused(MODULE_NOT_FOUND), _FILENAME, bytes(31)),
+    0x91: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(31)),
+    0x92: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(1)),
+    0x94: _Command(_refused(MODULE_NOT_FOUND), _exactly(8), bytes(6)),
+    0x95: _Command(_refused(MODULE_NOT_FOUND), range(8, 120), bytes(6)),
     0x98: _Command(_B._set_name, range(1, 17)),
     0x9A: _Command(_B._address, _NO_BODY, bytes(7)),
     0x9B: _Command(_B._device_info, _NO_BODY, bytes(30)),
     0xA0: _Command(_B._nothing, _NO_BODY),
-    0xA1: _Command(_B._poll_length, _exactly(1), bytes(2)),
+    0xA1: _Command(_B._poll, _exactly(1), bytes(2)),
     0xA2: _Command(_B._poll, _exactly(2), bytes(2)),
 }
 
