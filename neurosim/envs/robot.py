@@ -26,6 +26,7 @@ from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import EVERY, Interval, Task
+from neurosim.trials.by_hand import put_at
 from neurosim.trials.rig import RIGS, Setup, open_rig, place_of
 from tracking.camera.camera_model import CameraModel
 
@@ -293,5 +294,4 @@ class _Nothing:
 
 def _ask(pose: Sequence[float]) -> None:
     """Ask a person to place the robot at a pose (m, m, rad)."""
-    x, y, heading = 100 * pose[0], 100 * pose[1], np.degrees(pose[2])
-    input(f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees; Enter: ")
+    input(f"{put_at(pose)}; Enter: ")
