@@ -191,19 +191,18 @@ class SocketServer(SocketEnd, _RadioServer):
 
     Args:
         radio: the radio for the telegrams.
-        host: a loopback address.
         port: 0 for any free one.
 
     Raises:
-        RobotError: if the host is not loopback or the port is taken.
+        RobotError: if the port is taken.
     """
 
     ASK_TYPE = 0x98
     TYPE = b"bluetooth"
 
-    def __init__(self, radio: Radio, host: str = "127.0.0.1", port: int = 0):
+    def __init__(self, radio: Radio, port: int = 0):
         self.radio = radio
-        super().__init__(host, port)
+        super().__init__(port)
 
     def _client_left(self) -> None:
         self.radio.settle()
