@@ -293,18 +293,6 @@ class NXT(Driver):
         """Return the battery's voltage in volts."""
         return self._ask(self._connected().get_battery_level) / 1000.0
 
-    def odometry(self) -> tuple[float, float]:
-        """Return the rotation of the left and the right motor, in degrees, forward positive.
-
-        It is zero when the brick is switched on or has run a program.
-        """
-        brick = self._connected()
-        left, right = (
-            self._sign * self._ask(brick.get_output_state, port)[9]
-            for port in (self._left, self._right)
-        )
-        return float(left), float(right)
-
     def describe(self) -> dict[str, Any]:
         """Return kind, ports, kind of link and, after connecting, the brick's name.
 
