@@ -488,13 +488,6 @@ def _session_summary(
         "in_view": float(seen.in_view.mean()),
         "markers": seen.markers,
         "undecided": seen.undecided,
-        "clock": {
-            "offset": clock.offset,
-            "drift": clock.drift,
-            "residual": clock.residual,
-            "flashes": list(clock.flashes),
-            "sd": clock.sd,
-            "drift_sd": clock.drift_sd,
-        },
+        "clock": asdict(clock),
         "motor_delay": None if delay is None else asdict(delay),
     }

@@ -111,7 +111,7 @@ class Checkpoint:
             )
         begun = files.read_json(self._settings, FORMAT, VERSION, formats.Checkpoint)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
-        if (wrong := _difference(begun, settings)) is not None:
+        if (wrong := difference(begun, settings)) is not None:
             name, before, now = wrong
             raise UserError(
                 f"{self.folder} was begun with {name} = {before!r}, not {now!r}; resume it with "
@@ -141,15 +141,14 @@ class Checkpoint:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+def difference(was: Any, now: Any, name: str = "") -> tuple[str, Any, Any] | None:
     """Return the first entry that differs: its name, as in ``task.name``, and both values."""
-    for name in [*other, *(name for name in one if name not in other)]:
-        here, there = one.get(name), other.get(name)
-        if isinstance(here, dict) and isinstance(there, dict):
-            if (difference := _difference(here, there)) is not None:
-                return f"{name}.{difference[0]}", *difference[1:]
-        elif here != there:
-            return name, here, there
+    if not isinstance(was, dict) or not isinstance(now, dict):
+        return None if was == now else (name, was, now)
+    for key in [*now, *(key for key in was if key not in now)]:
+        path = f"{name}.{key}" if name else key
+        if (inner := difference(was.get(key), now.get(key), path)) is not None:
+            return inner
     return None
 
 

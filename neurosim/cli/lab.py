@@ -98,17 +98,11 @@ def lab() -> None:
 def nxt(board: dict[str, Any], line: dict[str, Any], seconds: float | None, as_json: bool) -> None:
     """Keep a virtual NXT running in real time, for any program that uses LEGO's protocol."""
     from neurosim.lab import VirtualRig
-    from neurosim.lab.nxt.world import Pacer
 
     with VirtualRig(**line, **board) as rig:
         where, how = _commands_for(rig.address)
-        with Pacer(rig.lab):
-            emit(
-                where,
-                as_json,
-                f"A virtual NXT runs in real time. Reach it with:\n{how}\nCtrl-C ends it.",
-            )
-            _stay(rig, seconds)
+        about = f"A virtual NXT runs in real time. Reach it with:\n{how}"
+        _keep(rig, seconds, where, as_json, about)
 
 
 @lab.command()
@@ -139,7 +133,6 @@ def khepera(
     from neurosim.lab import VirtualKheperaRig
     from neurosim.lab.khepera.params import RADIUS
     from neurosim.lab.khepera.rig import START
-    from neurosim.lab.nxt.world import Pacer
 
     around = Place.of(place)
     pose = start or around.start or (START if around == paper_arena() else (0.0, 0.0, 0.0))
@@ -151,17 +144,12 @@ def khepera(
         baud=baud,
         **line,
     ) as rig:
-        result = {"port": rig.address, "baud": baud}
-        with Pacer(rig.lab):
-            emit(
-                result,
-                as_json,
-                f"A virtual Khepera runs in real time, at {baud} baud. Reach it with:\n"
-                f"  python -m serial.tools.miniterm {rig.address} {baud} --eol CR\n"
-                f"  neurosim record OUT --robot khepera --port {rig.address} --camera none\n"
-                "Ctrl-C ends it.",
-            )
-            _stay(rig, seconds)
+        about = (
+            f"A virtual Khepera runs in real time, at {baud} baud. Reach it with:\n"
+            f"  python -m serial.tools.miniterm {rig.address} {baud} --eol CR\n"
+            f"  neurosim record OUT --robot khepera --port {rig.address} --camera none"
+        )
+        _keep(rig, seconds, {"port": rig.address, "baud": baud}, as_json, about)
 
 
 @lab.command()
@@ -181,18 +169,14 @@ def lines(
 ) -> None:
     """Keep a virtual robot running in real time that speaks lines of text (docs/lines.md)."""
     from neurosim.lab import VirtualLinesRig
-    from neurosim.lab.nxt.world import Pacer
 
-    with VirtualLinesRig(kind=kind, **line, **board) as rig, Pacer(rig.lab):
-        emit(
-            {"port": rig.address},
-            as_json,
+    with VirtualLinesRig(kind=kind, **line, **board) as rig:
+        about = (
             "A virtual robot that speaks lines of text runs in real time. Reach it with:\n"
             f"  python -m serial.tools.miniterm {rig.address} --eol LF   (and type hello)\n"
-            f"  neurosim record OUT --robot lines --port {rig.address} --camera none\n"
-            "Ctrl-C ends it.",
+            f"  neurosim record OUT --robot lines --port {rig.address} --camera none"
         )
-        _stay(rig, seconds)
+        _keep(rig, seconds, {"port": rig.address}, as_json, about)
 
 
 @lab.command()
@@ -205,18 +189,14 @@ def thymio(
 ) -> None:
     """Keep a virtual Thymio II running in real time, for any program that speaks Aseba."""
     from neurosim.lab import VirtualThymioRig
-    from neurosim.lab.nxt.world import Pacer
 
-    with VirtualThymioRig(**line, **board) as rig, Pacer(rig.lab):
-        emit(
-            {"port": rig.address},
-            as_json,
+    with VirtualThymioRig(**line, **board) as rig:
+        about = (
             "A virtual Thymio II runs in real time. Reach it with:\n"
             f"  neurosim check-robot --robot thymio --port {rig.address}\n"
-            f"  neurosim record OUT --robot thymio --port {rig.address} --camera none\n"
-            "Ctrl-C ends it.",
+            f"  neurosim record OUT --robot thymio --port {rig.address} --camera none"
         )
-        _stay(rig, seconds)
+        _keep(rig, seconds, {"port": rig.address}, as_json, about)
 
 
 @lab.command()
@@ -227,18 +207,25 @@ def thymio(
 def ros(board: dict[str, Any], port: int, seconds: float | None, as_json: bool) -> None:
     """Keep a virtual base running in real time behind a rosbridge, for any of its clients."""
     from neurosim.lab import VirtualRosRig
-    from neurosim.lab.nxt.world import Pacer
 
-    with VirtualRosRig(port=port, real_time=True, **board) as rig, Pacer(rig.lab):
-        emit(
-            {"url": rig.address},
-            as_json,
+    with VirtualRosRig(port=port, real_time=True, **board) as rig:
+        about = (
             "A virtual base runs in real time behind a rosbridge. Reach it with:\n"
             f"  neurosim check-robot --robot ros --url {rig.address} --stops-after 0.5\n"
             f"  neurosim record OUT --robot ros --url {rig.address} --stops-after 0.5 "
-            "--camera none\n"
-            "Ctrl-C ends it.",
+            "--camera none"
         )
+        _keep(rig, seconds, {"url": rig.address}, as_json, about)
+
+
+def _keep(
+    rig: Any, seconds: float | None, where: dict[str, Any], as_json: bool, about: str
+) -> None:
+    """Keep a robot running in real time, and say how to reach it."""
+    from neurosim.lab.nxt.world import Pacer
+
+    with Pacer(rig.lab):
+        emit(where, as_json, f"{about}\nCtrl-C ends it.")
         _stay(rig, seconds)
 
 

@@ -7,7 +7,7 @@ wheels' speed as a fraction of full speed. See :mod:`neurosim.networks.control` 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -73,12 +73,7 @@ class Network(Controller):
         return _arrays(self, FEED_FORWARD)
 
     def settings(self) -> dict[str, Any]:
-        return {
-            "inputs": list(self.inputs),
-            "hidden": list(self.hidden),
-            "outputs": list(self.outputs),
-            "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
-        }
+        return asdict(self)
 
 
 def braitenberg(
@@ -157,13 +152,7 @@ class Recurrent(Controller):
         return _arrays(self, ELMAN if self.dynamics == "elman" else CTRNN)
 
     def settings(self) -> dict[str, Any]:
-        return {
-            "inputs": list(self.inputs),
-            "units": self.units,
-            "dynamics": self.dynamics,
-            "outputs": list(self.outputs),
-            "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
-        }
+        return asdict(self)
 
 
 def _freeze(family: Network | Recurrent, *names: str) -> None:

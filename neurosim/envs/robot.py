@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.envs.face import Face, rate
-from neurosim.envs.picture import Picture, check_mode
-from neurosim.envs.single import CLOSED, made
+from neurosim.envs.face import Face
+from neurosim.envs.single import TrialEnv, made
 from neurosim.recording.closed_loop import Deadlines
 from neurosim.recording.markers import marker_settings
 from neurosim.recording.perimeter import Reckoning
@@ -27,6 +26,7 @@ from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import EVERY, Interval, Task
+from neurosim.trials.by_hand import put_at
 from neurosim.trials.rig import RIGS, Setup, open_rig, place_of
 from tracking.camera.camera_model import CameraModel
 
@@ -34,7 +34,7 @@ from tracking.camera.camera_model import CameraModel
 REST = 0.3
 
 
-class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class RobotEnv(TrialEnv):
     """A trial of a task on the robot is an episode, in the robot's own time.
 
     Spaces, observations and rewards are those of :class:`neurosim.envs.single.TaskEnv` in the
@@ -47,8 +47,6 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     Attributes:
         robot: its driver.
     """
-
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
 
     def __init__(
         self,
@@ -88,10 +86,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._face = Face(simulator, goal, 1, observe)
         self.observation_space = self._face.observation_space
         self.action_space = self._face.action_space
-        self.metadata = {**self.metadata, "render_fps": rate(goal)}
-        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
-        self._picture = None if render_mode is None else Picture(simulator, goal, 1)
-        self._begun = self._closed = self._timed = False
+        self._prepare(simulator, goal, render_mode)
+        self._timed = False
         self._stack = ExitStack()
         with ExitStack() as opening:
             setup = Setup(
@@ -186,7 +182,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._begun = True
         if self._picture is not None:
             self._picture.begin([0], self._pose[None])
-        self._show()
+        self._show(1e3)  # in the robot's own time
         return self._see(), {}
 
     def step(
@@ -243,7 +239,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             }
         if self._picture is not None:
             self._picture.add(self._pose[None])
-        self._show()
+        self._show(1e3)  # in the robot's own time
         return self._see(), float(reward[0]), decided, late, info
 
     def _drives(self, command: tuple[float, ...]) -> None:
@@ -281,29 +277,12 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         times = np.array([self._steps * self._face.episode.step])
         return self._face.observation(EVERY, self._pose[None], self._readings, times)[0]
 
-    def _show(self) -> None:
-        if self.render_mode == "human" and self._picture is not None:
-            self._picture.show(1e3)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the trial until now; see :meth:`TaskEnv.render`."""
-        self._check_open()
-        if self._picture is None:
-            raise UserError('nothing is drawn: make the environment with render_mode="rgb_array"')
-        return self._picture.draw(0) if self.render_mode == "rgb_array" else None
-
     def close(self) -> None:
         """Stop the robot and disconnect."""
         if self._closed:
             return
-        self._closed = True
-        if self._picture is not None:
-            self._picture.close()
+        super().close()
         self._stack.close()
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise UserError(CLOSED)
 
 
 class _Nothing:
@@ -315,5 +294,4 @@ class _Nothing:
 
 def _ask(pose: Sequence[float]) -> None:
     """Ask a person to place the robot at a pose (m, m, rad)."""
-    x, y, heading = 100 * pose[0], 100 * pose[1], np.degrees(pose[2])
-    input(f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees; Enter: ")
+    input(f"{put_at(pose)}; Enter: ")

@@ -24,7 +24,46 @@ from neurosim.tasks.registry import make_task
 CLOSED = "this environment is closed; make another one"
 
 
-class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class TrialEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """The base of environments of one trial: its picture, and closing."""
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+
+    def _prepare(self, simulator: Simulator, task: Task, render_mode: str | None) -> None:
+        """Make the picture, if there is a render mode; no trial has begun."""
+        self.metadata = {**self.metadata, "render_fps": rate(task)}
+        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
+        self._picture = None if render_mode is None else Picture(simulator, task, 1)
+        self._begun = self._closed = False
+
+    def _show(self, rate: float) -> None:
+        """Show the picture to a person, for 1 / ``rate`` s at least."""
+        if self.render_mode == "human" and self._picture is not None:
+            self._picture.show(rate)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture [height, width, 3] of the trial so far, if the mode is rgb_array.
+
+        Raises:
+            UserError: if the environment was made without a render mode.
+        """
+        self._check_open()
+        if self._picture is None:
+            raise UserError('nothing is drawn: make the environment with render_mode="rgb_array"')
+        return self._picture.draw(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._closed = True
+        if self._picture is not None:
+            self._picture.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise UserError(CLOSED)
+
+
+class TaskEnv(TrialEnv):
     """A trial of a task is an episode.
 
     The reward of a step is the growth of the task's progress: the sum of rewards is the progress of
@@ -34,8 +73,6 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     Attributes:
         trials: the one trial.
     """
-
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
 
     def __init__(
         self,
@@ -62,12 +99,9 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         simulator, goal = made(simulator, task, settings)
         self.trials = Trials(simulator, goal, 1, observe=observe, noise=noise, placing=placing)
-        self.metadata = {**self.metadata, "render_fps": rate(goal)}
         self.observation_space = self.trials.face.observation_space
         self.action_space = self.trials.face.action_space
-        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
-        self._picture = None if render_mode is None else Picture(simulator, goal, 1)
-        self._begun = self._closed = False
+        self._prepare(simulator, goal, render_mode)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -81,7 +115,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._begun = True
         if self._picture is not None:
             self._picture.begin([0], self.trials.poses)
-            self._show()
+            self._show(self.metadata["render_fps"])
         return self.trials.see()[0], {}
 
     def step(
@@ -101,36 +135,11 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._begun = not over
         if self._picture is not None:
             self._picture.add(self.trials.poses)
-            self._show()
+            self._show(self.metadata["render_fps"])
         info: dict[str, Any] = {}
         if over:
             info = {"is_success": bool(judged.success[0]), "progress": float(judged.progress[0])}
         return self.trials.see()[0], float(reward[0]), bool(decided[0]), bool(late[0]), info
-
-    def _show(self) -> None:
-        if self.render_mode == "human" and self._picture is not None:
-            self._picture.show(self.metadata["render_fps"])
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture [height, width, 3] of the trial so far, if the mode is rgb_array.
-
-        Raises:
-            UserError: if the environment was made without a render mode.
-        """
-        self._check_open()
-        if self._picture is None:
-            raise UserError('nothing is drawn: make the environment with render_mode="rgb_array"')
-        return self._picture.draw(0) if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self._closed = True
-        if self._picture is not None:
-            self._picture.close()
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise UserError(CLOSED)
 
 
 def made(

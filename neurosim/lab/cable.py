@@ -77,7 +77,7 @@ class SocketCable(SocketEnd):
     def __init__(self, cable: SerialCable, port: int):
         self.cable = cable
         self._client: socket.socket | None = None
-        super().__init__(port=port)
+        super().__init__(port)
 
     def _serve_client(self, client: socket.socket) -> None:
         self._client = client

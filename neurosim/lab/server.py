@@ -13,6 +13,8 @@ from neurosim.base.errors import RobotError
 
 #: Time after which a client that does not read is left (s).
 SEND_WITHIN = 0.5
+#: Virtual robots are served to programs on this computer only.
+LOOPBACK = "127.0.0.1"
 
 
 class Server:
@@ -114,26 +116,23 @@ class SocketEnd(Server):
     One client at a time; the next is served when it leaves.
 
     Args:
-        host: a loopback address.
         port: 0 for any free one.
 
     Raises:
-        RobotError: if the host is not loopback or the port is taken.
+        RobotError: if the port is taken.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 0):
-        if host not in ("127.0.0.1", "localhost"):
-            raise RobotError(f"a virtual robot is served on loopback only, not on {host!r}")
+    def __init__(self, port: int = 0):
         super().__init__()
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             if os.name == "posix":  # On Windows it would let two servers share a port.
                 self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind((host, port))
+            self._listener.bind((LOOPBACK, port))
             self._listener.listen()
         except (OSError, OverflowError) as error:
             self._listener.close()
-            raise RobotError(f"cannot serve on port {port} of {host}: {error}") from None
+            raise RobotError(f"cannot serve on port {port} of {LOOPBACK}: {error}") from None
         self.address: tuple[str, int] = self._listener.getsockname()
         self._thread.start()
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,22 +29,10 @@ from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.search import Search, new_optimiser
 from neurosim.loop.settings import EvolveSettings
+from neurosim.robots.base import Clock
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import placed
 from neurosim.tasks.base import Interval, Judgement, Records, Task
-
-
-class Clock(Protocol):
-    """A robot's clock; see :class:`neurosim.robots.base.Robot`."""
-
-    def now(self) -> float:
-        """Return the time, s."""
-        ...
-
-    def sleep_until(self, time: float) -> None:
-        """Wait until a time, s."""
-        ...
-
 
 #: Probability of success without further commands at which the task counts as done; below it, a
 #: robot without a better command searches again.

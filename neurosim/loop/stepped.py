@@ -17,10 +17,10 @@ from neurosim.controllers.base import Controller, observe
 from neurosim.controllers.goals import Goals
 from neurosim.networks.control import NOT_READINGS
 from neurosim.simulators.base import Simulator
-from neurosim.simulators.sampling import began, draw_samples, trial_steps
+from neurosim.simulators.sampling import SampledRollouts, began
 
 
-class SteppedRollouts:
+class SteppedRollouts(SampledRollouts):
     """Rollouts through the steps of the protocols.
 
     A simulator that takes its noise as an argument gives every controller the same noise. A
@@ -29,19 +29,9 @@ class SteppedRollouts:
     """
 
     def __init__(self, simulator: Simulator, controller: Controller, episode: Episode):
-        self._simulator, self._controller, self._episode = simulator, controller, episode
+        super().__init__(simulator, controller, episode)
         self._sees = [name for name in controller.inputs if name not in NOT_READINGS]
         self._reads = bool(simulator.reading_names) and (bool(self._sees) or episode.readings)
-
-    def draw(
-        self,
-        starts: NDArray[np.float64],
-        rng: np.random.Generator | int,
-        placing: tuple[float, float] | None = None,
-    ) -> Draws:
-        """Draw samples: start, ensemble member, and noise or its seed."""
-        steps = trial_steps(self._controller, self._episode)
-        return draw_samples(self._simulator, starts, rng, placing, steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
@@ -93,12 +83,9 @@ class _Trial:
         self._readings.append(seen)
         return seen
 
-    def _step(self, command: Tensor, step: int, active: Tensor | None = None) -> None:
-        after = self._simulator.step(self._state, command, **self._random(step))
-        if active is not None:
-            after = torch.where(active.unsqueeze(-1), after, self._state)
-        self._state = after
-        self._poses.append(after[:, :3])
+    def _step(self, command: Tensor, step: int) -> None:
+        self._state = self._simulator.step(self._state, command, **self._random(step))
+        self._poses.append(self._state[:, :3])
 
     def open_loop(self, commands: NDArray, active: NDArray) -> Trajectory:
         """Drive commands [P, T, 3]; inactive ones do not change the robot's state."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.checkpoint import difference
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import atomic_path, check_new_folder, check_no_links, locked
 from neurosim.base.provenance import robot_kind
@@ -298,11 +299,10 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
             was, now = ({**side, "kind": robot_kind(side)} for side in (was, now))
         if keys is not None:
             was, now = ({key: side.get(key) for key in keys} for side in (was, now))
-        difference = _difference(was, now, part)
-        if difference:
+        if (wrong := difference(was, now, part)) is not None:
             raise UserError(
                 "{} was recorded with another {} ({!r}, now {!r}); resume with the same settings, "
-                "or start a new recording".format(out, *difference)
+                "or start a new recording".format(out, *wrong)
             )
     return recording
 
@@ -318,16 +318,6 @@ _SAME: dict[str, tuple[str, ...] | None] = {
     "camera": ("kind", "source", "size", "fps"),
     "virtual_lab": ("robot_seed", "place"),
 }
-
-
-def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
-    if isinstance(was, dict) and isinstance(now, dict):
-        for key in [*was, *(key for key in now if key not in was)]:
-            difference = _difference(was.get(key), now.get(key), f"{name}.{key}")
-            if difference:
-                return difference
-        return None
-    return None if was == now else (name, was, now)
 
 
 def _check_calibration(path: Path, camera: Camera | None, markers: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Protocol
 
 from msgspec import Meta
 
+from neurosim.base.checkpoint import difference
 from neurosim.base.declared import Checked, Count
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import check_new_folder, check_no_links, locked
@@ -205,12 +206,12 @@ def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
     source = Recording(folder).meta.get("settings", {}).get("source", {})
     if source.get("kind") != how["kind"]:
         raise FileError(path, "is not a round of a guided recording", field="settings.source")
-    for key, now in json.loads(json.dumps(how)).items():
-        if source.get(key) != now:
-            raise UserError(
-                f"{folder} was recorded with another {key} ({source.get(key)!r}, now {now!r}); "
-                "resume with the same settings, or start a new recording"
-            )
+    same = {key: source.get(key) for key in how}
+    if (wrong := difference(same, json.loads(json.dumps(how)))) is not None:
+        raise UserError(
+            "{} was recorded with another {} ({!r}, now {!r}); resume with the same settings, "
+            "or start a new recording".format(folder, *wrong)
+        )
     try:
         commands = [Command.of(command) for command in source["commands"]]
     except (KeyError, TypeError, ValueError):

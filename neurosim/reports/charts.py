@@ -60,11 +60,8 @@ def curves(
     axis: str,
     label: str,
     prefix: str,
-    *,
-    x_axis: str = "generation",
-    log: bool = True,
 ) -> str:
-    """Draw one line per name, each given as (x, y)."""
+    """Draw one line per name, each given as (x, y), over generations, on a logarithmic axis."""
     with drawing(4.6, 3.0) as (figure, axes):
         for number, (name, (x, y)) in enumerate(lines.items()):
             x, y = np.asarray(x, float), np.asarray(y, float)
@@ -73,9 +70,8 @@ def curves(
                 x[shown], y[shown], label=name, color=INK[_THREE[number % 3]],
                 ls=_DASHES[number % 3], marker="o" if len(x) == 1 else None,
             )  # fmt: skip
-        if log:
-            axes.set_yscale("log")
-        axes.set_xlabel(x_axis)
+        axes.set_yscale("log")
+        axes.set_xlabel("generation")
         axes.set_ylabel(axis)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         if len(lines) > 1:
@@ -83,10 +79,7 @@ def curves(
         return to_svg(figure, label, prefix)
 
 
-def fan(
-    lines: Sequence[ArrayLike], axis: str, label: str, prefix: str, *, x_axis: str = "generation",
-    log: bool = False,
-) -> str:  # fmt: skip
+def fan(lines: Sequence[ArrayLike], axis: str, label: str, prefix: str, *, x_axis: str) -> str:
     """Draw several runs over the same numbers: each thin, their median bold.
 
     Runs may be of different length and hold NaN; x counts from 1.
@@ -107,10 +100,7 @@ def fan(
         )  # fmt: skip
         axes.set_xlabel(x_axis)
         axes.set_ylabel(axis)
-        if log:
-            axes.set_yscale("log")
-        else:
-            axes.set_ylim(bottom=min(0.0, float(np.nanmin(table))) if table.size else 0.0)
+        axes.set_ylim(bottom=min(0.0, float(np.nanmin(table))) if table.size else 0.0)
         if table.shape[1] <= 20:
             axes.set_xticks(number)
         if len(table) > 1:

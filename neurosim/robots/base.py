@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,20 @@ class Robot(Protocol):
     def __enter__(self) -> Robot: ...
 
     def __exit__(self, *error: object) -> None: ...
+
+
+R = TypeVar("R", bound=Robot)
+
+
+class Driver:
+    """The base of drivers: in a ``with`` block the robot is connected, at its end closed."""
+
+    def __enter__(self: R) -> R:
+        self.connect()
+        return self
+
+    def __exit__(self: Robot, *error: object) -> None:
+        self.close()
 
 
 @runtime_checkable

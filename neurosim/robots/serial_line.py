@@ -14,6 +14,7 @@ from contextlib import suppress
 import serial
 
 from neurosim.base.errors import LinkLost, RobotError
+from neurosim.robots.base import Driver
 from neurosim.robots.pybricks import SCHEME, PybricksPort
 
 #: Seconds that a single read waits; deadlines are kept by the caller.
@@ -263,6 +264,25 @@ class SerialLine:
         self.close()
         self._gone = why
         return LinkLost(why)
+
+
+class SerialDriver(Driver):
+    """The base of drivers of robots on a serial line, which have ``_greet`` and ``stop``."""
+
+    _line: SerialLine
+
+    def connect(self) -> None:
+        """Open the line, check that the expected robot answers, and stop it.
+
+        Raises:
+            RobotError: if the port cannot be opened, nothing answers, or something else does.
+        """
+        if not self._line.is_open:
+            self._line.connect(self._greet)
+
+    def close(self) -> None:
+        """Stop the robot if the line is still open, and close it; raises only Ctrl-C."""
+        self._line.hang_up(self.stop)
 
 
 def _reason(error: Exception) -> str:

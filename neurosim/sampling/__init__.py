@@ -20,7 +20,7 @@ from neurosim.sampling.settings import SampleSettings
 from neurosim.sampling.turns import read_turns
 
 if TYPE_CHECKING:
-    from neurosim.sampling.build import build_tables, sampled_baud, sampled_body, sampled_reaction
+    from neurosim.sampling.build import build_tables, sampled_reaction
 
 __all__ = [
     "Eye",
@@ -32,12 +32,10 @@ __all__ = [
     "interpolation_cost",
     "read_turns",
     "sample",
-    "sampled_baud",
-    "sampled_body",
     "sampled_reaction",
 ]
 
 #: Names of functions that build simulators, which needs PyTorch.
-_BUILD = ("build_tables", "sampled_baud", "sampled_body", "sampled_reaction")
+_BUILD = ("build_tables", "sampled_reaction")
 
 __getattr__ = names_of(__name__, dict.fromkeys(_BUILD, "neurosim.sampling.build"))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
@@ -92,7 +92,8 @@ def build_tables(
     if not used:
         raise UserError("give the samples of a wall and of a cylinder, .sample files")
     sampling = (used[0] if motors is None else Path(motors)).parent
-    baud, (whole, sampled_radius) = sampled_baud(sampling), sampled_body(sampling)
+    robot = _sampling(sampling).get("robot", {})
+    baud, whole, sampled_radius = robot.get("baud"), robot.get("full_speed"), _radius_of(robot)
     body = {
         "radius": _source(radius, sampled_radius),
         "wheel_base": _source(wheel_base, motors),
@@ -149,40 +150,19 @@ def sampled_reaction(folder: str | Path) -> Reaction:
     Raises:
         FileError: if ``sampling.json`` is wrong.
     """
+    result = _sampling(folder).get("result")
+    return Reaction.from_json(result["reaction"]) if result else Reaction()
+
+
+def _sampling(folder: str | Path) -> dict[str, Any]:
+    """Return the content of a folder's ``sampling.json``; empty if there is none."""
     path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return Reaction()
-    result = files.read_json(path, FORMAT, VERSION, formats.Sampling).get("result")
-    if not result:
-        return Reaction()
-    return Reaction.from_json(result["reaction"])
+    return files.read_json(path, FORMAT, VERSION, formats.Sampling) if path.exists() else {}
 
 
-def sampled_baud(folder: str | Path) -> int | None:
-    """Return the speed of a sampling's serial line; None if it is unknown.
-
-    Raises:
-        FileError: if ``sampling.json`` is wrong.
-    """
-    path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return None
-    return files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"].get("baud")
-
-
-def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
-    """Return the number for full speed and the radius (m) of the robot that sampled itself.
-
-    Each is None if it is unknown.
-
-    Raises:
-        FileError: if ``sampling.json`` is wrong.
-    """
-    path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return None, None
-    robot = files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"]
+def _radius_of(robot: Mapping[str, Any]) -> float | None:
+    """Return the radius (m) of a robot that sampled itself; None if it is unknown."""
     # Older samplings do not have it.
     dialect = DIALECTS.get(robot.get("dialect", ""))
     nominal = None if dialect is None else dialect.geometry.radius
-    return robot.get("full_speed"), robot.get("radius", nominal)
+    return robot.get("radius", nominal)

@@ -36,7 +36,7 @@ from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, steppe
 from neurosim.base.waiting import show
 from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
-from neurosim.simulators.sampling import Stepper, began, draw_samples, trial_steps
+from neurosim.simulators.sampling import SampledRollouts, Stepper, began
 
 #: Number of steps for which another core is worth starting.
 _WORTH_SHARING = 100
@@ -272,12 +272,12 @@ class ThreadSafe:
     """Base of rollouts that several threads may run at once."""
 
 
-class CompiledRollouts(ThreadSafe):
+class CompiledRollouts(SampledRollouts, ThreadSafe):
     """Rollouts of one kind of controller in a simulator with compiled functions."""
 
     def __init__(self, simulator: Any, controller: Any, episode: Episode):
         """Prepare the arrays of the controllers, which are open-loop or networks."""
-        self._simulator, self._controller, self._episode = simulator, controller, episode
+        super().__init__(simulator, controller, episode)
         self._model, self._works = simulator.compiled(), list[Any]()
         names = simulator.reading_names
         reads = bool(names) and (
@@ -289,16 +289,6 @@ class CompiledRollouts(ThreadSafe):
             sources = input_sources(controller.inputs, names)
             self._net = closed_loop(controller.arrays(), sources, episode, reads)
         self._kept: dict[tuple[int, str], NDArray] = {}
-
-    def draw(
-        self,
-        starts: NDArray[np.float64],
-        rng: np.random.Generator | int,
-        placing: tuple[float, float] | None = None,
-    ) -> Draws:
-        """Sample each robot's start, ensemble member and noise."""
-        steps = trial_steps(self._controller, self._episode)
-        return draw_samples(self._simulator, starts, rng, placing, steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through samples [R].

@@ -110,6 +110,23 @@ def trial_steps(controller: Any, episode: Episode) -> int:
     return episode.steps + (episode.rest > 0)
 
 
+class SampledRollouts:
+    """Rollouts of a controller in a simulator: this base class draws the samples of its trials."""
+
+    def __init__(self, simulator: Any, controller: Any, episode: Episode):
+        self._simulator, self._controller, self._episode = simulator, controller, episode
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw samples: each robot's start, ensemble member, and noise or its seed."""
+        steps = trial_steps(self._controller, self._episode)
+        return draw_samples(self._simulator, starts, rng, placing, steps)
+
+
 def draw_samples(
     simulator: Any,
     starts: NDArray[np.float64],

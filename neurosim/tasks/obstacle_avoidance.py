@@ -145,12 +145,6 @@ def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
     return ObstacleAvoidance(duration=step, contacts="end").judge(trajectory).fitness
 
 
-def cells_visited(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Return the number of squares of :data:`CELL` that the robot's centre visited, [...]."""
-    steps = trajectory.commands.shape[-2]
-    return ObstacleAvoidance("cells", steps=steps, starts=1).judge(trajectory).fitness
-
-
 @njit(error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _worth(readings, command):  # type: ignore[no-untyped-def]
     """Return the value of a step with readings [S] and a command [2 or more]: equation (1).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -116,6 +116,12 @@ class ByHand:
         episode = self._task.episode
         path = between(moments - begin, poses, np.arange(episode.steps + 1) * episode.step)
         return se2.between(path[0], path[1:])
+
+
+def put_at(pose: Sequence[float] | NDArray[np.float64]) -> str:
+    """Return the request to put the robot at a pose (m, m, rad), without an end."""
+    x, y, heading = 100 * pose[0], 100 * pose[1], math.degrees(pose[2])
+    return f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees"
 
 
 def answer_to(message: str) -> str:

@@ -24,12 +24,12 @@ from neurosim.controllers import (
 )
 from neurosim.controllers.base import observe
 from neurosim.controllers.goals import Goals
-from neurosim.loop.replan import Clock, Replanner, ReplanSettings
+from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.networks.control import NOT_READINGS, OF_GOALS, POSE_INPUTS
 from neurosim.recording import closed_loop
 from neurosim.recording.commands import Command, Observation, SeeingSource
 from neurosim.recording.settings import Rig
-from neurosim.robots.base import Counters, Robot, Sensors
+from neurosim.robots.base import Clock, Counters, Robot, Sensors
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task

@@ -24,6 +24,7 @@ from neurosim.lab import LabParams, VirtualRig
 from neurosim.recording.settings import Rig
 from neurosim.robots.base import Proximity, Robot
 from neurosim.simulators.sampling import trial_steps
+from neurosim.trials.by_hand import put_at
 from neurosim.trials.driver import missing
 from neurosim.trials.floor import about_robot, on_floor
 from neurosim.trials.trial import run_trial
@@ -77,11 +78,7 @@ class Driven:
         saved = self._saved(np.zeros(controller.genes))
         if lacks := missing(saved, robot, camera, task, calibration=calibration):
             raise UserError("; ".join(lacks))
-        x, y, heading = task.start
-        self.instruction = (
-            f"Put the robot at x {100 * x:.1f} cm, y {100 * y:.1f} cm, heading "
-            f"{np.degrees(heading):.0f} degrees, and press Enter"
-        )
+        self.instruction = f"{put_at(task.start)}, and press Enter"
 
     def describe(self) -> dict[str, Any]:
         """Return the description of the robot."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -24,7 +23,7 @@ from neurosim.robots.base import Counters, Proximity, Robot, drive_for, read_sen
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import InPlace
-from neurosim.trials.by_hand import answer_to
+from neurosim.trials.by_hand import answer_to, put_at
 from neurosim.trials.driver import Driver, missing
 
 #: Time for which the robot wanders between trials, so that each begins at another pose, s.
@@ -329,11 +328,7 @@ def _in_the_lab(
 
 
 def _put_by_a_person(start: NDArray[np.float64]) -> None:
-    x, y, heading = 100 * start[0], 100 * start[1], math.degrees(start[2])
-    answer_to(
-        f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees, and press "
-        "Enter: "
-    )
+    answer_to(f"{put_at(start)}, and press Enter: ")
 
 
 def _check_line(simulator: Any, baud: int | None) -> None:

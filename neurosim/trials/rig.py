@@ -191,9 +191,8 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
         yield Rig(rig.robot, rig.camera, None, rig.describe(), rig.lab.place)
 
 
-@contextmanager
 @checks
-def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> AbstractContextManager[Rig]:
     """Open the virtual lab's model car (a speed and a steering angle) under its roof camera.
 
     It describes itself in lines of text, and has no lamp.
@@ -202,16 +201,11 @@ def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: further settings.
         lab_seed: Number of the virtual lab's car.
     """
-    with (
-        VirtualLinesRig(lab_seed, kind="car", **_common(setup)) as rig,
-        _connected(rig, setup) as connected,
-    ):
-        yield connected
+    return _on_board(VirtualLinesRig, lab_seed, setup, kind="car")
 
 
-@contextmanager
 @checks
-def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> AbstractContextManager[Rig]:
     """Open the virtual lab's omnidirectional base (vx, vy, omega) under its roof camera.
 
     It describes itself in lines of text.
@@ -220,27 +214,20 @@ def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: further settings.
         lab_seed: Number of the virtual lab's base.
     """
-    with (
-        VirtualLinesRig(lab_seed, kind="omni", **_common(setup)) as rig,
-        _connected(rig, setup) as connected,
-    ):
-        yield connected
+    return _on_board(VirtualLinesRig, lab_seed, setup, kind="omni")
 
 
-@contextmanager
 @checks
-def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> AbstractContextManager[Rig]:
     """Open the virtual lab's Thymio II under its roof camera.
 
     Args:
         setup: further settings.
         lab_seed: Number of the virtual lab's Thymio.
     """
-    with VirtualThymioRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
-        yield connected
+    return _on_board(VirtualThymioRig, lab_seed, setup)
 
 
-@contextmanager
 @checks
 def virtual_ros(
     setup: Setup,
@@ -249,7 +236,7 @@ def virtual_ros(
     laser: str = NONE,
     laser_sectors: SectorCount = 8,
     laser_reach: Metres = 1.0,
-) -> Iterator[Rig]:
+) -> AbstractContextManager[Rig]:
     """Open the virtual lab's base behind a rosbridge (v, omega) under its roof camera.
 
     Args:
@@ -260,9 +247,7 @@ def virtual_ros(
         laser_reach: Distance from which on a sensor reads 0, m.
     """
     scans = {"laser": laser, "laser_sectors": laser_sectors, "laser_reach": laser_reach}
-    rig = VirtualRosRig(lab_seed, **scans, **_common(setup))
-    with rig, _connected(rig, setup) as connected:
-        yield connected
+    return _on_board(VirtualRosRig, lab_seed, setup, **scans)
 
 
 def _common(setup: Setup) -> dict[str, Any]:
@@ -290,11 +275,14 @@ def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:
 
 
 @contextmanager
-def _connected(
-    rig: VirtualLinesRig | VirtualThymioRig | VirtualRosRig, setup: Setup
+def _on_board(
+    made: type[VirtualLinesRig | VirtualThymioRig | VirtualRosRig],
+    lab_seed: int,
+    setup: Setup,
+    **own: Any,
 ) -> Iterator[Rig]:
-    """Give the robot and its camera, connected, so that its commands and abilities are known."""
-    with _paced(rig.lab, setup.real_time):
+    """Open a rig on the board, connected, so that its commands and abilities are known."""
+    with made(lab_seed, **own, **_common(setup)) as rig, _paced(rig.lab, setup.real_time):
         rig.robot.connect()
         yield Rig.of_lab(rig)
 

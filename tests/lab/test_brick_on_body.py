@@ -37,7 +37,7 @@ def test_from_a_percentage_to_the_wheels():
             clock.sleep_until(clock.now() + 1.0)
             robot.stop()
             clock.sleep_until(clock.now() + 0.5)
-            left, right = robot.odometry()
+            left, right = (body.output(port).rotation_count for port in (1, 2))
             assert 6.0 < robot.battery() < 10.0
     x, y, heading = body.pose
     assert x == pytest.approx(0.25, abs=0.03)

@@ -135,7 +135,7 @@ def test_against_a_wall_the_encoders_count_on():
     robot.advance(5.0)
     np.testing.assert_allclose(robot.pose, [0.1 - RADIUS, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(robot.counts(), 4960, atol=1)
-    assert robot.touches > 1000
+    assert robot.state[physics.S.TOUCHES] > 1000
 
 
 def test_along_a_wall_it_slides_and_friction_holds_it_back():

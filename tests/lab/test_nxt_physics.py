@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nxt_drives import displacements
 
 from neurosim.base import se2
 from neurosim.lab.nxt import physics
@@ -22,7 +23,7 @@ def drive(params, *commands, seed=0, start=(0.0, 0.0, 0.0), battery=None):
     if battery is not None:
         state[S.BATTERY] = battery
     field = physics.slip_field(params)
-    return physics.displacements(state, np.array(commands, float), params.coefficients(), field)
+    return displacements(state, np.array(commands, float), params.coefficients(), field)
 
 
 def path(before, after, seconds):
@@ -188,7 +189,7 @@ def test_what_cannot_be_predicted_is_small_and_what_can_is_not():
             place = rng.uniform([-1.1, -0.7, -math.pi], [1.1, 0.7, math.pi])
             state = physics.new_state(params, 1000 * r + i, tuple(place))
             state[S.BATTERY] = rng.uniform(7.2, 8.2)
-            poses = physics.displacements(state, np.stack([commands[i - 1], command]), p, field)
+            poses = displacements(state, np.stack([commands[i - 1], command]), p, field)
             moved[r, i] = se2.between(poses[1], poses[2])
     noise = np.abs(moved - moved.mean(0)).mean((0, 1))
     assert 0.001 < noise[0] < 0.004

@@ -13,8 +13,8 @@ import pytest
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.base.place import THICKNESS, Place
 from neurosim.lab import VirtualThymioRig
+from neurosim.lab.thymio.body import ThymioBody
 from neurosim.lab.thymio.firmware import EVENTS, NODE
-from neurosim.lab.thymio.rig import ThymioBody
 from neurosim.robots import Counters, Lamp, open_robot
 from neurosim.robots.base import SelfStopping
 from neurosim.robots.thymio import aseba

@@ -18,9 +18,10 @@ mujoco = pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
 from neurosim.simulators.legged.build import Build, ServoBuild, compile_model  # noqa: E402
 from neurosim.simulators.legged.physics import Physics, followed, poses_of  # noqa: E402
-from neurosim.simulators.legged.simulator import PARAMETERS, LeggedSimulator  # noqa: E402
+from neurosim.simulators.legged.simulator import LeggedSimulator  # noqa: E402
 
 HAND = genes_of(HAND_TUNED)
+PARAMETERS = tuple(Build.ranges)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,6 @@ from neurosim.tasks.base import Judgement
 from neurosim.tasks.obstacle_avoidance import (
     ObstacleAvoidance,
     avoidance,
-    cells_visited,
 )
 from neurosim.tasks.registry import make_task
 
@@ -64,6 +63,11 @@ def test_what_comes_after_a_contact_counts_nothing_where_it_is_known():
         ObstacleAvoidance(contacts="soft")
     with pytest.raises(UserError, match="needs fitness='avoidance'"):
         ObstacleAvoidance(fitness="cells", contacts="end")
+
+
+def cells_visited(trajectory):
+    steps = trajectory.commands.shape[-2]
+    return ObstacleAvoidance("cells", steps=steps, starts=1).judge(trajectory).fitness
 
 
 def test_cells_visited_by_hand():

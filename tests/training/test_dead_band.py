@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from nxt_drives import displacements
 
 from neurosim.base import se2
 from neurosim.lab.nxt.params import LabParams
-from neurosim.lab.nxt.physics import displacements, new_state, slip_field
+from neurosim.lab.nxt.physics import new_state, slip_field
 from neurosim.recording.commands import RandomCommands
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import TrainingData

@@ -64,11 +64,6 @@ class KheperaBody:
         """The true pose, [3] (m, m, rad unwrapped)."""
         return self.state[S.X : S.X + 3].copy()
 
-    @property
-    def touches(self) -> int:
-        """Number of ticks of the physics so far in which it touched something."""
-        return int(self.state[S.TOUCHES])
-
     def depth(self, x: float, y: float) -> float:
         """Return its depth in a surface at (x, y), m; below 0 where it is free."""
         return float(physics.penetration(x, y, self._walls, self._cylinders))

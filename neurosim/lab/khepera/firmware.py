@@ -18,8 +18,8 @@ import re
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Protocol
 
+from neurosim.lab.khepera.body import KheperaBody
 from neurosim.robots.khepera.driver import VIRTUAL
 
 BANNER = (
@@ -35,50 +35,18 @@ LARGEST_COUNT = 2**31
 _NUMBER = re.compile(r"\s*[+-]?\d{1,10}\s*\Z")
 
 
-class Hardware(Protocol):
-    """The body behind the firmware; all calls take effect at the lab's current time."""
-
-    def set_speeds(self, left: int, right: int) -> None:
-        """Regulate both wheels' speeds, in pulses in 10 ms."""
-        ...
-
-    def set_positions(self, left: int, right: int, limits: tuple[int, int]) -> None:
-        """Turn both wheels to counter positions, no faster than ``limits``."""
-        ...
-
-    def speeds(self) -> tuple[int, int]:
-        """Return both wheels' speeds, in pulses in 10 ms."""
-        ...
-
-    def counts(self) -> tuple[int, int]:
-        """Return both position counters."""
-        ...
-
-    def set_counts(self, left: int, right: int) -> None:
-        """Set both position counters."""
-        ...
-
-    def proximity(self) -> list[int]:
-        """Return 8 readings of reflected light."""
-        ...
-
-    def ambient(self) -> list[int]:
-        """Return 8 readings of ambient light."""
-        ...
-
-
 class KheperaFirmware:
     """Takes bytes, moves a body, and answers with bytes.
 
     Args:
-        hardware: the body.
+        hardware: the body; all calls take effect at the lab's current time.
         lock: held while the body is used.
 
     Attributes:
         leds: the two light-emitting diodes.
     """
 
-    def __init__(self, hardware: Hardware, lock: AbstractContextManager | None = None):
+    def __init__(self, hardware: KheperaBody, lock: AbstractContextManager | None = None):
         self._hardware = hardware
         self._lock = threading.RLock() if lock is None else lock
         self._line = bytearray()

@@ -14,8 +14,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
 
+from neurosim.lab.nxt.body import NxtBody
 from neurosim.robots.nxt.driver import VIRTUAL_ADDRESS
 
 DIRECT, SYSTEM, REPLY, NO_REPLY = 0x00, 0x01, 0x02, 0x80
@@ -53,64 +53,6 @@ MAILBOXES, MAILBOX_DEPTH, MESSAGE_SIZE = 20, 5, 59
 I2C_SIZE = 16
 
 
-class Output(Protocol):
-    """One motor port: its last settings, and its three counters in degrees."""
-
-    power: int
-    mode: int
-    regulation: int
-    turn_ratio: int
-    run_state: int
-    tacho_limit: int
-    tacho_count: int
-    block_tacho_count: int
-    rotation_count: int
-
-
-class Hardware(Protocol):
-    """The body behind the brick: three motor ports, four sensor ports, a battery.
-
-    All calls are made with the brick's lock held and take effect at the lab's current time.
-    """
-
-    def set_output(
-        self,
-        port: int,
-        power: int,
-        mode: int,
-        regulation: int,
-        turn_ratio: int,
-        run_state: int,
-        tacho_limit: int,
-    ) -> None:
-        """Set a motor port (0 to 2), in the protocol's own numbers."""
-        ...
-
-    def output(self, port: int) -> Output:
-        """Return the state of a motor port (0 to 2)."""
-        ...
-
-    def reset_tacho(self, port: int, relative: bool) -> None:
-        """Zero the block counter of a motor port if ``relative``, else the program counter."""
-        ...
-
-    def set_input(self, port: int, type: int, mode: int) -> None:
-        """Set the use of a sensor port (0 to 3), which also switches the sensor's lamp."""
-        ...
-
-    def input(self, port: int) -> tuple[bool, int, int, int]:
-        """Return (valid, raw, type, mode) of a sensor port (0 to 3).
-
-        ``raw`` is 0 to 1023 over the span of the sensor, lower where a light, sound or
-        colour sensor sees or hears more.
-        """
-        ...
-
-    def battery_millivolts(self) -> int:
-        """Return the battery's voltage in millivolts."""
-        ...
-
-
 class Refused(Exception):
     """A telegram answered by an error status and, as the firmware does, a padded body."""
 
@@ -133,7 +75,7 @@ class VirtualBrick:
     """Answers LEGO's telegrams and moves a body by them.
 
     Args:
-        hardware: the body.
+        hardware: the body; it is used with the lock held, at the lab's current time.
         name: the brick's name, up to 14 ASCII characters.
         address: its Bluetooth address; by default the one that marks a virtual brick.
         lock: held while a telegram is carried out; the lab gives its own.
@@ -145,7 +87,7 @@ class VirtualBrick:
 
     def __init__(
         self,
-        hardware: Hardware,
+        hardware: NxtBody,
         name: str = "NXT",
         *,
         address: str = VIRTUAL_ADDRESS + ":00:00:01",
@@ -186,15 +128,6 @@ class VirtualBrick:
         if telegram[0] & NO_REPLY:
             return None
         return bytes([REPLY, opcode, status]) + answer
-
-    def _start_program(self, body: bytes) -> bytes:
-        raise Refused(OUT_OF_RANGE)
-
-    def _stop_program(self, body: bytes) -> bytes:
-        raise Refused(NO_PROGRAM)
-
-    def _play_sound_file(self, body: bytes) -> bytes:
-        raise Refused(OUT_OF_RANGE)
 
     def _nothing(self, body: bytes) -> bytes:
         return b""
@@ -298,9 +231,6 @@ class VirtualBrick:
         self._i2c_status(body[0])
         return bytes(1 + I2C_SIZE)
 
-    def _current_program(self, body: bytes) -> bytes:
-        raise Refused(NO_PROGRAM)
-
     def _message_write(self, body: bytes) -> bytes:
         box, size = body[:2]
         if box >= MAILBOXES:
@@ -321,18 +251,6 @@ class VirtualBrick:
         message = box.popleft() if remove else box[0]
         return bytes([local, len(message)]) + message.ljust(MESSAGE_SIZE, b"\0")
 
-    def _no_space(self, body: bytes) -> bytes:
-        raise Refused(NO_SPACE)
-
-    def _no_file(self, body: bytes) -> bytes:
-        raise Refused(FILE_NOT_FOUND)
-
-    def _no_handle(self, body: bytes) -> bytes:
-        raise Refused(ILLEGAL_HANDLE)
-
-    def _no_module(self, body: bytes) -> bytes:
-        raise Refused(MODULE_NOT_FOUND)
-
     def _versions(self, body: bytes) -> bytes:
         protocol, firmware = self.protocol_version, self.firmware_version
         return bytes([protocol[1], protocol[0], firmware[1], firmware[0]])
@@ -348,10 +266,6 @@ class VirtualBrick:
         name = self.name.encode("ascii", "replace")[:14].ljust(15, b"\0")
         signal_strengths, free_flash = bytes(4), 0
         return name + self._address(body) + signal_strengths + struct.pack("<I", free_flash)
-
-    def _poll_length(self, body: bytes) -> bytes:
-        _require(body[0] <= 1)
-        return bytes([body[0], 0])
 
     def _poll(self, body: bytes) -> bytes:
         _require(body[0] <= 1)
@@ -420,14 +334,23 @@ def _exactly(length: int) -> range:
     return range(length, length + 1)
 
 
+def _refused(status: int) -> Callable[[VirtualBrick, bytes], bytes]:
+    """Return the answer of an opcode that always fails: the brick has no programs and no files."""
+
+    def answer(brick: VirtualBrick, body: bytes) -> bytes:
+        raise Refused(status)
+
+    return answer
+
+
 _B = VirtualBrick
 _FILENAME = range(1, 21)
 _NO_BODY = _exactly(0)
 
 _DIRECT = {
-    0x00: _Command(_B._start_program, _FILENAME),
-    0x01: _Command(_B._stop_program, _NO_BODY),
-    0x02: _Command(_B._play_sound_file, range(2, 22)),
+    0x00: _Command(_refused(OUT_OF_RANGE), _FILENAME),
+    0x01: _Command(_refused(NO_PROGRAM), _NO_BODY),
+    0x02: _Command(_refused(OUT_OF_RANGE), range(2, 22)),
     0x03: _Command(_B._nothing, _exactly(4)),
     # Appendix 2 gives the tacho limit five bytes, and some clients send the fifth.
     0x04: _Command(_B._set_output_state, range(10, 12)),
@@ -443,34 +366,34 @@ _DIRECT = {
     0x0E: _Command(_B._ls_get_status, _exactly(1), bytes(1)),
     0x0F: _Command(_B._ls_write, range(3, 3 + I2C_SIZE + 1)),
     0x10: _Command(_B._ls_read, _exactly(1), bytes(1 + I2C_SIZE)),
-    0x11: _Command(_B._current_program, _NO_BODY, bytes(20)),
+    0x11: _Command(_refused(NO_PROGRAM), _NO_BODY, bytes(20)),
     0x13: _Command(_B._message_read, _exactly(3), bytes(2 + MESSAGE_SIZE)),
 }
 
 _SYSTEM = {
-    0x80: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x81: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x82: _Command(_B._no_handle, _exactly(3), bytes(3)),
-    0x83: _Command(_B._no_handle, range(1, 120), bytes(3)),
-    0x84: _Command(_B._no_handle, _exactly(1), bytes(1)),
-    0x85: _Command(_B._no_file, _FILENAME, bytes(20)),
-    0x86: _Command(_B._no_file, _FILENAME, bytes(25)),
-    0x87: _Command(_B._no_handle, _exactly(1), bytes(25)),
+    0x80: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x81: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x82: _Command(_refused(ILLEGAL_HANDLE), _exactly(3), bytes(3)),
+    0x83: _Command(_refused(ILLEGAL_HANDLE), range(1, 120), bytes(3)),
+    0x84: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(1)),
+    0x85: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(20)),
+    0x86: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(25)),
+    0x87: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(25)),
     0x88: _Command(_B._versions, _NO_BODY, bytes(4)),
-    0x89: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x8A: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x8B: _Command(_B._no_space, range(5, 25), bytes(1)),
-    0x8C: _Command(_B._no_file, _FILENAME, bytes(5)),
-    0x90: _Command(_B._no_module, _FILENAME, bytes(31)),
-    0x91: _Command(_B._no_handle, _exactly(1), bytes(31)),
-    0x92: _Command(_B._no_handle, _exactly(1), bytes(1)),
-    0x94: _Command(_B._no_module, _exactly(8), bytes(6)),
-    0x95: _Command(_B._no_module, range(8, 120), bytes(6)),
+    0x89: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x8A: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x8B: _Command(_refused(NO_SPACE), range(5, 25), bytes(1)),
+    0x8C: _Command(_refused(FILE_NOT_FOUND), _FILENAME, bytes(5)),
+    0x90: _Command(_refused(MODULE_NOT_FOUND), _FILENAME, bytes(31)),
+    0x91: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(31)),
+    0x92: _Command(_refused(ILLEGAL_HANDLE), _exactly(1), bytes(1)),
+    0x94: _Command(_refused(MODULE_NOT_FOUND), _exactly(8), bytes(6)),
+    0x95: _Command(_refused(MODULE_NOT_FOUND), range(8, 120), bytes(6)),
     0x98: _Command(_B._set_name, range(1, 17)),
     0x9A: _Command(_B._address, _NO_BODY, bytes(7)),
     0x9B: _Command(_B._device_info, _NO_BODY, bytes(30)),
     0xA0: _Command(_B._nothing, _NO_BODY),
-    0xA1: _Command(_B._poll_length, _exactly(1), bytes(2)),
+    0xA1: _Command(_B._poll, _exactly(1), bytes(2)),
     0xA2: _Command(_B._poll, _exactly(2), bytes(2)),
 }
 

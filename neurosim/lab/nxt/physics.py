@@ -245,39 +245,3 @@ def advance(state, inputs, p, field, until):
                 return wheel
     state[S.TIME] = until
     return -1
-
-
-@njit
-def displacements(state, commands, p, field, delay=0.0):
-    """Drive a sequence of regulated commands without a brick or a camera.
-
-    Args:
-        state: float64 [S.SIZE], changed in place.
-        commands: float64 [N, 3]: left and right power (%), duration (s).
-        p: coefficients.
-        field: slip field.
-        delay: from a command to its effect, s; commands given meanwhile wait, and before the first
-            one the motors stand.
-
-    Returns:
-        float64 [N + 1, 3]: the pose at the start and after every command.
-    """
-    inputs = np.zeros(6)
-    inputs[U.MODE : U.MODE + 2] = REGULATED
-    inputs[U.LIMIT : U.LIMIT + 2] = np.nan
-    poses = np.empty((len(commands) + 1, 3))
-    poses[0] = state[S.X : S.X + 3]
-    acts, until = 0, state[S.TIME]
-    starts = until + delay
-    for i in range(len(commands)):
-        until += commands[i, 2]
-        while acts <= i and starts <= until:
-            advance(state, inputs, p, field, starts)
-            for wheel in range(2):
-                inputs[U.POWER + wheel] = commands[acts, wheel]
-                begin_command(state, wheel, p)
-            starts += commands[acts, 2]
-            acts += 1
-        advance(state, inputs, p, field, until)
-        poses[i + 1] = state[S.X : S.X + 3]
-    return poses

@@ -13,11 +13,10 @@ import os
 import socket
 import struct
 import threading
-from typing import Protocol
 
 import numpy as np
 
-from neurosim.lab.nxt.brick import DIRECT, NO_REPLY, SYSTEM, telegram_length
+from neurosim.lab.nxt.brick import DIRECT, NO_REPLY, SYSTEM, VirtualBrick, telegram_length
 from neurosim.lab.server import PtyEnd, Server, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 
@@ -27,14 +26,6 @@ LONGEST = 128
 REST_WITHIN = 0.5
 #: Bluetooth's shortest exchange, two slots of 625 microseconds.
 SPACING = 0.00125
-
-
-class Handler(Protocol):
-    """An object that answers telegrams: a :class:`neurosim.lab.nxt.brick.VirtualBrick`."""
-
-    def handle(self, telegram: bytes) -> bytes | None:
-        """Carry out one telegram; return the reply, or None if there is no reply."""
-        ...
 
 
 class Radio:
@@ -49,7 +40,7 @@ class Radio:
     the same time, even on a slow computer.
 
     Args:
-        brick: the answering object.
+        brick: the one that answers the telegrams.
         clock: the lab's clock; ``sleep_until`` advances the lab to a time.
         rng: draws the delays; may be None if ``jitter`` is 0.
         delay: mean delay one way, s.
@@ -66,7 +57,7 @@ class Radio:
 
     def __init__(
         self,
-        brick: Handler,
+        brick: VirtualBrick,
         clock: Clock,
         rng: np.random.Generator | None = None,
         *,
@@ -200,19 +191,18 @@ class SocketServer(SocketEnd, _RadioServer):
 
     Args:
         radio: the radio for the telegrams.
-        host: a loopback address.
         port: 0 for any free one.
 
     Raises:
-        RobotError: if the host is not loopback or the port is taken.
+        RobotError: if the port is taken.
     """
 
     ASK_TYPE = 0x98
     TYPE = b"bluetooth"
 
-    def __init__(self, radio: Radio, host: str = "127.0.0.1", port: int = 0):
+    def __init__(self, radio: Radio, port: int = 0):
         self.radio = radio
-        super().__init__(host, port)
+        super().__init__(port)
 
     def _client_left(self) -> None:
         self.radio.settle()

@@ -44,7 +44,7 @@ class BridgeEnd(SocketEnd):
         self._end: WebSocketEnd | None = None
         self.silent = False
         node.say = self.say
-        super().__init__(port=port)
+        super().__init__(port)
 
     @property
     def url(self) -> str:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import struct
 from contextlib import AbstractContextManager
-from typing import Protocol
 
+from neurosim.lab.thymio.body import ThymioBody
 from neurosim.robots.thymio.aseba import (
     DESCRIPTION,
     EVENT,
@@ -56,35 +56,11 @@ FREE, PROGRAM, STACK, STEPS = 512, 1534, 32, 1000
 LONGEST = 512
 
 
-class Hardware(Protocol):
-    """The body behind the firmware; all calls take effect at the lab's current time."""
-
-    def drive(self, left: int, right: int) -> None:
-        """Regulate both wheels' speeds, 500 at full speed."""
-        ...
-
-    def speeds(self) -> tuple[int, int]:
-        """Return both wheels' speeds as they are measured."""
-        ...
-
-    def proximity(self) -> list[int]:
-        """Return the readings of the seven sensors."""
-        ...
-
-    def ground(self) -> list[int]:
-        """Return the readings of the two ground sensors, without ambient light."""
-        ...
-
-    def lamp(self, on: bool) -> None:
-        """Switch the lights on the top."""
-        ...
-
-
 class ThymioFirmware:
     """Takes bytes, moves a body, and answers with bytes.
 
     Args:
-        hardware: the body.
+        hardware: the body; all calls take effect at the lab's current time.
         lock: held while the body is used.
 
     Attributes:
@@ -93,7 +69,7 @@ class ThymioFirmware:
         memory: of the virtual machine.
     """
 
-    def __init__(self, hardware: Hardware, lock: AbstractContextManager):
+    def __init__(self, hardware: ThymioBody, lock: AbstractContextManager):
         self.hardware, self._lock = hardware, lock
         self.ends = TICK
         self._addresses: dict[str, int] = {}

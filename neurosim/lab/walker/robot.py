@@ -35,6 +35,8 @@ from neurosim.simulators.legged.physics import Physics, arrived
 RADIUS, LONGEST = 2.0, 60.0
 #: Longest film, s; and the time by which it lasts longer than its poses, s.
 FILM, MORE = 5.0, 0.1
+#: The physics of all: the time step is half the simulator's, the cone a pyramid.
+SOLVER: dict[str, Any] = {"timestep": 0.002, "iterations": 30, "cone": "pyramidal"}
 
 
 @dataclass(frozen=True)
@@ -81,9 +83,6 @@ class Ground:
             i=between(0.5, 3.5),
             d=between(0.05, 0.13),
             torque=between(0.65, 0.95),
-            timestep=0.002,
-            iterations=30,
-            cone="pyramidal",
             armature=between(0.0015, 0.0028),
             damping=between(0.01, 0.02),
             joint_friction=between(0.015, 0.05),
@@ -91,6 +90,7 @@ class Ground:
             lag=between(0.015, 0.035),
             speed=between(5.0, 7.0),
             legs=(between(0.985, 1.015), between(0.985, 1.015), between(0.985, 1.015), 1.0),
+            **SOLVER,
         )
         return cls(
             build,
@@ -103,7 +103,7 @@ class Ground:
         )
 
 
-#: By name. The time step is half the simulator's, the cone a pyramid.
+#: By name.
 FLOORS = {
     "main": Ground(
         Build(
@@ -119,9 +119,6 @@ FLOORS = {
             i=2.0,
             d=0.08,
             torque=0.75,
-            timestep=0.002,
-            iterations=30,
-            cone="pyramidal",
             armature=0.002,
             damping=0.015,
             joint_friction=0.03,
@@ -129,6 +126,7 @@ FLOORS = {
             lag=0.025,
             speed=6.0,
             legs=(1.0, 0.99, 1.01, 1.0),
+            **SOLVER,
         ),
         sag=0.2,
         charge=45,
@@ -151,9 +149,6 @@ FLOORS = {
             i=1.0,
             d=0.12,
             torque=0.7,
-            timestep=0.002,
-            iterations=30,
-            cone="pyramidal",
             armature=0.0025,
             damping=0.02,
             joint_friction=0.045,
@@ -161,6 +156,7 @@ FLOORS = {
             lag=0.03,
             speed=5.5,
             legs=(1.01, 1.0, 0.99, 1.0),
+            **SOLVER,
         ),
         sag=0.15,
         charge=60,
@@ -183,9 +179,6 @@ FLOORS = {
             i=3.0,
             d=0.06,
             torque=0.85,
-            timestep=0.002,
-            iterations=30,
-            cone="pyramidal",
             armature=0.0018,
             damping=0.012,
             joint_friction=0.02,
@@ -193,6 +186,7 @@ FLOORS = {
             lag=0.02,
             speed=6.5,
             legs=(0.995, 1.0, 1.0, 1.015),
+            **SOLVER,
         ),
         sag=0.25,
         charge=30,

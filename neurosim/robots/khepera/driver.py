@@ -15,7 +15,7 @@ from neurosim.base.declared import Baud, Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.khepera.dialects import Dialect, dialect_named
-from neurosim.robots.serial_line import SerialLine
+from neurosim.robots.serial_line import SerialDriver, SerialLine
 
 #: Number of times that a command is sent before the robot counts as lost; all may be repeated.
 TRIES = 3
@@ -23,7 +23,7 @@ TRIES = 3
 VIRTUAL = "virtual"
 
 
-class Khepera:
+class Khepera(SerialDriver):
     """A small round robot with a ring of infra-red sensors and two wheels.
 
     Follows :class:`neurosim.robots.base.Robot`, ``LightSensors``, ``Counters``, ``WholeSpeeds``
@@ -104,16 +104,8 @@ class Khepera:
         self._version = ""
         self._restoring = False
 
-    def connect(self) -> None:
-        """Open the line, check that a robot of this kind answers, and stop it.
-
-        Raises:
-            RobotError: if the port cannot be opened, nothing answers, or something else does.
-        """
-        if not self._line.is_open:
-            self._line.connect(self._greet)
-
     def _greet(self) -> None:
+        """Check that a robot of this kind answers, and stop it."""
         # Half a command of an earlier program must not precede the first one.
         self._line.write(self._end)
         self._version = self._first_answer()
@@ -123,10 +115,6 @@ class Khepera:
                 f"({self._version!r}): give the dialect {other[1]}"
             )
         self.set_speeds(0, 0)
-
-    def close(self) -> None:
-        """Stop the motors if the line is still open, and close it; raises only Ctrl-C."""
-        self._line.hang_up(lambda: self.set_speeds(0, 0))
 
     @property
     def commands(self) -> Commands:
@@ -224,13 +212,6 @@ class Khepera:
             "pulses_per_metre": self.pulses_per_metre,
             "reboots": self.reboots,
         }
-
-    def __enter__(self) -> Khepera:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _switch_lamp(self, on: bool) -> None:
         """Switch the lights on the robot's top, or in its body."""

@@ -13,7 +13,7 @@ from neurosim.base.declared import Baud, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.lines.protocol import Greeting, GreetingError, decimal, decode, encode
-from neurosim.robots.serial_line import SerialLine
+from neurosim.robots.serial_line import SerialDriver, SerialLine
 
 #: Number of times that a request is sent before the robot counts as lost.
 TRIES = 3
@@ -29,7 +29,7 @@ BAUD = 115_200
 RADIUS = 0.1
 
 
-class Lines:
+class Lines(SerialDriver):
     """A robot that describes its commands, on any serial port, URL of pyserial or LEGO hub.
 
     Follows :class:`neurosim.robots.base.Robot`, ``Sensors`` and ``SelfStopping`` and, if the robot
@@ -73,22 +73,10 @@ class Lines:
         self._zeros: list[int] = []
         self._counts: list[int] = []
 
-    def connect(self) -> None:
-        """Open the line, and ask for the robot's description, which stops it.
-
-        Raises:
-            RobotError: if the port cannot be opened, nothing answers, or something else does.
-        """
-        if not self._line.is_open:
-            self._line.connect(self._greet)
-
     def _greet(self) -> None:
+        """Ask for the robot's description, which stops it."""
         self.greeting = self._first_answer()
         self._has(self.greeting)
-
-    def close(self) -> None:
-        """Stop the robot if the line is still open, and close it; raises only Ctrl-C."""
-        self._line.hang_up(self.stop)
 
     @property
     def commands(self) -> Commands:
@@ -161,13 +149,6 @@ class Lines:
             }
             about |= {"light_sensors": seen} if seen else {}
         return about
-
-    def __enter__(self) -> Lines:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _has(self, greeting: Greeting) -> None:
         """Add the robot's abilities to this object."""

@@ -21,7 +21,7 @@ from nxt.telegram import Opcode, Telegram
 from neurosim.base.commands import TWO_WHEELS
 from neurosim.base.declared import Coordinate, Port, Seconds, checks
 from neurosim.base.errors import LinkLost, RobotError, UserError
-from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE, Clock, SystemClock
+from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE, Clock, Driver, SystemClock
 from neurosim.robots.nxt.link import GARBAGE, Guard, open_brick
 
 T = TypeVar("T")
@@ -64,7 +64,7 @@ _IDLING = 1
 _LAMP_ON, _LAMP_OFF = SensorType.COLOR_RED, SensorType.COLOR_NONE
 
 
-class NXT:
+class NXT(Driver):
     """An NXT robot: a motor left and right, a lamp, a light sensor on either side.
 
     The brick is reached by one of: Bluetooth (``host``), a device file (``filename``),
@@ -293,18 +293,6 @@ class NXT:
         """Return the battery's voltage in volts."""
         return self._ask(self._connected().get_battery_level) / 1000.0
 
-    def odometry(self) -> tuple[float, float]:
-        """Return the rotation of the left and the right motor, in degrees, forward positive.
-
-        It is zero when the brick is switched on or has run a program.
-        """
-        brick = self._connected()
-        left, right = (
-            self._sign * self._ask(brick.get_output_state, port)[9]
-            for port in (self._left, self._right)
-        )
-        return float(left), float(right)
-
     def describe(self) -> dict[str, Any]:
         """Return kind, ports, kind of link and, after connecting, the brick's name.
 
@@ -328,13 +316,6 @@ class NXT:
             "invert": self._sign < 0,
             "regulation": "speed",
         }
-
-    def __enter__(self) -> NXT:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     @property
     def _guard(self) -> Guard | None:

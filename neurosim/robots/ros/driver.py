@@ -17,7 +17,7 @@ from neurosim.base import se2
 from neurosim.base.commands import Commands, Number
 from neurosim.base.declared import Metres, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
-from neurosim.robots.base import Clock, Geometry, SystemClock
+from neurosim.robots.base import Clock, Driver, Geometry, SystemClock
 from neurosim.robots.ros.bridge import Bridge
 from neurosim.robots.ros.laser import SCAN, Sectors
 
@@ -73,7 +73,7 @@ class _Feed:
     seen: float | None = None
 
 
-class Ros:
+class Ros(Driver):
     """A base that ROS 2 drives, behind a rosbridge: a forward velocity and a turn rate.
 
     Follows :class:`neurosim.robots.base.Robot` and, with odometry, ``Counters``: they count the
@@ -244,13 +244,6 @@ class Ros:
         if self._nodes:
             about |= {"nodes": self._nodes, "virtual": VIRTUAL in self._nodes}
         return about
-
-    def __enter__(self) -> Ros:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     # Commands
 

@@ -15,7 +15,7 @@ from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.declared import Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
-from neurosim.robots.serial_line import SerialLine
+from neurosim.robots.serial_line import SerialDriver, SerialLine
 from neurosim.robots.thymio import aseba
 from neurosim.robots.thymio.aseba import (
     Description,
@@ -75,7 +75,7 @@ _AT_MOST = 64
 T = TypeVar("T")
 
 
-class Thymio:
+class Thymio(SerialDriver):
     """A Thymio II on its USB cable, or behind its dongle, in the protocol of Aseba.
 
     Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``SelfStopping``, ``Counters``,
@@ -132,19 +132,6 @@ class Thymio:
         self._token = self._number = 0
         self._loading = False
         self._reader, self._halt = Reader(), b""
-
-    def connect(self) -> None:
-        """Open the line, find the robot, stop it, and load the program.
-
-        Raises:
-            RobotError: if the port cannot be opened, nothing answers, or something else does.
-        """
-        if not self._line.is_open:
-            self._line.connect(self._greet)
-
-    def close(self) -> None:
-        """Stop the robot if the line is still open, and close it; raises only Ctrl-C."""
-        self._line.hang_up(self.stop)
 
     def drive(self, command: Sequence[float]) -> None:
         """Set both wheels, in percent of full speed, for five minutes or until the next command.
@@ -229,13 +216,6 @@ class Thymio:
             }
         return about
 
-    def __enter__(self) -> Thymio:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
     def _hold(self, command: Sequence[float], seconds: float) -> None:
         left, right = (round(value / 100 * FULL) for value in self.commands.check(command))
         self._carry_out(math.ceil(RATE * seconds) + 1, left, right)
@@ -252,6 +232,7 @@ class Thymio:
     # Connecting
 
     def _greet(self) -> None:
+        """Find the robot, stop it, and load the program."""
         self._reader, self._node, self._firmware = Reader(), 0, ()
         self._node = self._ask(
             encode(aseba.LIST_NODES, [aseba.VERSION]), self._is_robot, self._nobody

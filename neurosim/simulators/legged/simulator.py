@@ -35,7 +35,6 @@ from neurosim.simulators.sampling import draw_samples
 
 #: The kinds of robots by their names in files.
 BUILDS: dict[str, type[LeggedBuild]] = {one.robot: one for one in (Build, ServoBuild, QuadraTot)}
-PARAMETERS = tuple(Build.ranges)
 
 
 class LeggedSimulator(Simulator):

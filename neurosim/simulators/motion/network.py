@@ -613,27 +613,13 @@ class MotionNetwork(Simulator):
         if np.shape(values) != (len(parameters),):
             raise UserError(f"expected {len(parameters)} parameters, got {np.shape(values)}")
         pairs = zip(parameters, np.asarray(values, np.float64).tolist(), strict=True)
-        correction = Correction(*(one.checked(value) for one, value in pairs))
-        return MotionNetwork(
-            self.inputs,
-            self.network,
-            self.genes,
-            self.input_scale,
-            self.output_scale,
-            self.coordinates,
-            self.meta,
-            self.noise,
-            self.dead_band,
-            self.central,
-            self.derived,
-            self.drive,
-            self.kernel_units,
-            self.known,
-            correction,
-            self.sensors,
-            self.floor,
-            self.excess,
-        )
+        changed = copy(self)
+        changed.__dict__.pop("_model", None)  # compiled with the correction before
+        changed.meta = dict(self.meta)
+        changed.correction = Correction(*(one.checked(value) for one, value in pairs))
+        assert self.drive is not None
+        changed._corrected = changed.correction.of_drive(self.drive)
+        return changed
 
     def conditions(self) -> dict[str, Any]:
         """Return its correction, if any."""
