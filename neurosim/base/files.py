@@ -263,6 +263,21 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
         lock.release()
 
 
+def check_new_file(path: Path, what: str, *, overwrite: bool = False) -> None:
+    """Raise an error for an output file that would overwrite another one.
+
+    Args:
+        path: the file.
+        what: what it is, for the message.
+        overwrite: whether it may be replaced.
+
+    Raises:
+        UserError: naming the option that replaces it.
+    """
+    if path.exists() and not overwrite:
+        raise UserError(f"{path} exists; name another {what}, or add --overwrite to replace it")
+
+
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     """Raise an error for an output folder that would overwrite something.
 

@@ -111,10 +111,7 @@ def end_now(number: int) -> None:
 
 
 #: Message of an interrupted program.
-INTERRUPTED = (
-    "neurosim: interrupted; complete files can be read; if there is a checkpoint, run the "
-    "command again with --resume"
-)
+INTERRUPTED = "neurosim: interrupted; complete files can be read"
 
 
 def _quietly(stop: Callable[[], object]) -> None:

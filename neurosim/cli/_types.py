@@ -246,7 +246,7 @@ class Json(click.ParamType):
         try:
             return json.loads(value)
         except ValueError:
-            self.fail(f"{value!r} is not JSON, such as [[0.5, 0, 0]]", param, ctx)
+            self.fail(f"{value!r} is not JSON, such as 0.5 or [[0, 1], [0, 2]]", param, ctx)
 
     def shown(self, value: Any) -> str:
         """Return a value as it is typed."""

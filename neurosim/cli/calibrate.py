@@ -76,6 +76,7 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, PIXELS, Numbers, Option, R
     type=Numbers("LENGTHxWIDTH", "x", Annotated[float, Meta(ge=0.01, le=100)], "2.76x1.84"),
     help="With --corners, which needs it: length and width of the board, m.",
 )
+@click.option("--overwrite", is_flag=True, help="Replace an existing calibration.")
 @json_option
 def calibrate(
     photographs: tuple[Path, ...],
@@ -88,6 +89,7 @@ def calibrate(
     dictionary: str,
     corners: tuple[tuple[float, float], ...] | None,
     board: tuple[float, float] | None,
+    overwrite: bool,
     as_json: bool,
 ) -> None:
     """Learn the camera from PHOTOGRAPHS of a chessboard: files, a folder of them, or a video.
@@ -95,10 +97,12 @@ def calibrate(
     Without marked points the lens alone is learned, and poses stay in pixels. With --corners one
     photograph of the board is enough; a usual lens is assumed.
     """
+    from neurosim.base.files import check_new_file
     from tracking.camera.calibrate import calibrate as calibrate_
     from tracking.camera.calibrate import from_corners
     from tracking.camera.lens import FEWEST_PHOTOGRAPHS, describe_left_out
 
+    check_new_file(out, "calibration", overwrite=overwrite)
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
     if corners is None and board is not None:

@@ -254,7 +254,7 @@ def dataset(
         f"left out: {reasons or 'none'}.\n"
         + chained
         + late
-        + next_step("train", out, "-o", "SIMULATOR"),
+        + ("" if _too_few(len(made.table)) else next_step("train", out, "-o", "SIMULATOR")),
     )
 
 

@@ -296,6 +296,17 @@ def evolve(
     _say(controllers, out, simulator, made, keep_all, as_json)
 
 
+def _robot(controller: Any, simulator: Path) -> list[str]:
+    """Return the options of `run` for the robot of a controller's simulator."""
+    from neurosim.controllers.base import WHEELS
+    from neurosim.simulators import TableSimulator, read_simulator
+
+    if isinstance(read_simulator(simulator), TableSimulator):
+        return ["--robot", "virtual-khepera", "--camera", "none"]
+    wheels = set(controller.controller.outputs) <= {*WHEELS, "duration"}
+    return [*([] if wheels else ["--robot", "ROBOT"]), "--calibration", "calibration.json"]
+
+
 def _say(
     controllers: list[Any], out: Path, simulator: Path, task: Any, keep_all: bool, as_json: bool
 ) -> None:
@@ -330,7 +341,7 @@ def _say(
     if best.given:
         verdict = "completes the task" if best.predicted["completes"] else "does not complete it"
         text = (
-            f"{paths[0]}: {counted(len(best.given), 'command')}, fitness {fitness:z.1f}, "
+            f"{paths[0]}: {counted(len(best.given), 'command')}, fitness {fitness:z.4g}, "
             f"{verdict} in the simulator; {complete} of {runs} runs found a plan that does.\n"
         )
     else:
@@ -351,7 +362,7 @@ def _say(
     if task.episode.readings:
         text += next_step("view", simulator, "--controller", paths[0], "-o", "path.png")
     else:
-        text += next_step("run", paths[0], "--calibration", "calibration.json", "-o", "TRIAL")
+        text += next_step("run", paths[0], *_robot(best, simulator), "-o", "TRIAL")
     emit(result, as_json, text)
     warn_unsupported(best.predicted["unsupported"])
     if unmet and unmet.worse:

@@ -193,5 +193,14 @@ def main() -> None:
 
 def _interrupted() -> NoReturn:
     ignore_signals()
-    click.echo(INTERRUPTED, err=True)
+    click.echo(INTERRUPTED + _how_to_go_on(cli.commands.get("".join(sys.argv[1:2]))), err=True)
     sys.exit(exit_code())
+
+
+def _how_to_go_on(command: click.Command | None) -> str:
+    """Return how a command that was interrupted is gone on with, if it can be."""
+    if command is None:
+        return ""
+    if any(option.name == "resume" for option in command.params):
+        return "; the same command with --resume goes on"
+    return "; the same command goes on" if command in (demo, pipeline) else ""

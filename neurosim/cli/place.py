@@ -28,11 +28,11 @@ def import_(drawing: Path, out: Path, overwrite: bool, as_json: bool) -> None:
     """
     from neurosim.base.drawing import read_drawing
     from neurosim.base.errors import UserError, counted
+    from neurosim.base.files import check_new_file
 
     if out.suffix != ".json":
         raise UserError(f"{out}: the file of a place ends in .json")
-    if out.exists() and not overwrite:
-        raise UserError(f"{out} exists; name another file, or add --overwrite to replace it")
+    check_new_file(out, "file", overwrite=overwrite)
     drawn, notes = read_drawing(drawing)
     drawn.write(out)
     for note in notes:

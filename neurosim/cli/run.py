@@ -110,12 +110,13 @@ def run(
             "the robot's position is unknown: give --calibration (camera), or --camera none "
             "(wheel counters)"
         )
-    again = _replanning(saved, replan, simulator, replanning)
+    known = _simulator(saved, controller)
+    again = _replanning(saved, replan, simulator, known, replanning)
     if again is not None and again[0].perimeter is not None:
-        by, known = guard.get("by", "both"), again[0].perimeter
-        again[0].perimeter = None if at_line == "ignore" else known.guarded(by)
+        by, perimeter = guard.get("by", "both"), again[0].perimeter
+        again[0].perimeter = None if at_line == "ignore" else perimeter.guarded(by)
     marked = marker_settings(markers, robot, tag)
-    around = _place(saved, robot)
+    around = _place(saved, robot, known)
     setup = Setup(**camera, seed=seed, start=saved.start, place=around, markers=marked)
     with open_rig(robot, robot_options, setup) as rig:
         report = run_trial(
@@ -147,7 +148,11 @@ def run(
 
 
 def _replanning(
-    saved: Any, wanted: bool | None, simulator: Path | None, settings: dict[str, Any]
+    saved: Any,
+    wanted: bool | None,
+    simulator: Path | None,
+    known: Path | None,
+    settings: dict[str, Any],
 ) -> Any:
     """Return the simulator and the settings of replanning; None: no replanning."""
     from neurosim.loop.replan import ReplanSettings
@@ -162,34 +167,35 @@ def _replanning(
         if simulator is not None or settings:
             raise UserError("--simulator and the settings of replanning need --replan")
         return None
-    folder = simulator or _simulator(saved)
-    if folder is None:
+    found = simulator or known
+    if found is None:
         raise UserError(
             "the simulator of the plan was moved or changed: name one with --simulator, or drive "
             "without replanning (--no-replan)"
         )
-    return read_simulator(folder), ReplanSettings(**settings)
+    return read_simulator(found), ReplanSettings(**settings)
 
 
-def _simulator(saved: Any) -> Path | None:
+def _simulator(saved: Any, controller: Path) -> Path | None:
     """Return the folder of the simulator in which a controller was evolved; None: unknown."""
     from neurosim.base.files import sha256
 
     # Only the simulator with the controller's checksum: a path from another computer proves
-    # nothing.
-    file = Path(str(saved.simulator.get("path", ""))) / "simulator.json"
-    if not file.is_file() or sha256(file) != saved.simulator.get("sha256"):
-        return None
-    return file.parent
+    # nothing. The path is relative to where evolution ran, perhaps a folder above the controller.
+    path = Path(str(saved.simulator.get("path", "")))
+    for base in (Path(), *controller.resolve().parents):
+        file = base / path / "simulator.json"
+        if file.is_file() and sha256(file) == saved.simulator.get("sha256"):
+            return file.parent
+    return None
 
 
-def _place(saved: Any, robot: str) -> Any:
+def _place(saved: Any, robot: str, folder: Path | None) -> Any:
     """Return the place for which a controller was evolved, for a virtual robot; None: unknown."""
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
     from neurosim.trials.rig import place_of
 
-    folder = _simulator(saved)
     simulator = None if folder is None else read_simulator(folder)
     return place_of(robot, make_task(saved.task), simulator)
 

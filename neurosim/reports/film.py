@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.base.files import atomic_path, check_name, sha256
+from neurosim.base.files import atomic_path, check_name, check_new_file, sha256
 from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.base.trajectory import RUN_DOWN
 from neurosim.loop.stepped import SteppedRollouts
@@ -231,8 +231,7 @@ def write_film(
     out = Path(out)
     if out.suffix.lower() != ".mp4":
         raise UserError(f"{out}: the name of a video ends in .mp4")
-    if out.exists() and not overwrite:
-        raise UserError(f"{out} exists; name another video, or add --overwrite to replace it")
+    check_new_file(out, "video", overwrite=overwrite)
     others = [one for one in (simulator, controller) if one is not None]
     only = "--video shows the drive of a trial"
     _, scene, shown = filmed_trial([folder, *others], seed, only)

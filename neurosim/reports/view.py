@@ -18,7 +18,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError, counted
-from neurosim.base.files import atomic_path
+from neurosim.base.files import atomic_path, check_new_file
 from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import FixedPlan, SavedController, read_controller
@@ -80,8 +80,7 @@ def draw_view(
     out = Path(out)
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"{out}: a picture ends in {', '.join(SUFFIXES)}")
-    if out.exists() and not overwrite:
-        raise UserError(f"{out} exists; name another picture, or add --overwrite to replace it")
+    check_new_file(out, "picture", overwrite=overwrite)
     world, around = _place(place, simulator)
     rng = np.random.default_rng(seed)
     saved = task = note = None

@@ -255,7 +255,7 @@ def _page(about: dict[str, Any]) -> str:
     # Half of the highest command, twice, and a quarter.
     full = [1.0 if one["highest"] is None else one["highest"] for one in about["command"]]
     commands = [[round(part * each, 6) for each in full] for part in (0.5, 0.5, 0.25)]
-    packages = {"onnx": "numpy onnxruntime", "torch": f"torch>={torch.__version__.split('+')[0]}"}
+    packages = {"onnx": "numpy onnxruntime", "torch": f"'torch>={torch.__version__.split('+')[0]}'"}
     lines = [
         "# The step of a robot's simulator",
         "",

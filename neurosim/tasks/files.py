@@ -45,8 +45,9 @@ def read_task(text: str) -> tuple[str, dict[str, Any]]:
         return text, {}
     path = Path(text)
     content = read_json(path, FORMAT, VERSION, TaskFile)
-    if content["name"] not in TASKS.names():
+    name, settings = content["name"], content["settings"]
+    if name not in TASKS.names():
         known = ", ".join(TASKS.names())
-        raise FileError(path, f"expected one of {known}, found {content['name']!r}", field="name")
-    made(path, "settings", TASKS.get(content["name"]), content["settings"])
-    return content["name"], content["settings"]
+        raise FileError(path, f"expected one of {known}, found {name!r}", field="name")
+    made(path, "settings", lambda **given: TASKS.make(name, given), settings)
+    return name, settings

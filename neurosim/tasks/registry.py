@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
 from neurosim.tasks.base import Task
@@ -44,7 +46,8 @@ def make_task(task: str | Mapping[str, Any] | Task, **settings: Any) -> Task:
     if isinstance(task, Mapping):
         name, given = str(task.get("name")), task.get("settings", {})
         return make_task(name, **{**given, **settings})
-    made = TASKS.make(task, settings)
+    plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in settings.items()}
+    made = TASKS.make(task, plain)
     if not isinstance(made, Task):
         raise UserError(f"the task {task} is not a neurosim.Task: subclass it")
     return made

@@ -256,9 +256,12 @@ def missing(
     columns = [name for name in saved.controller.outputs if name != "duration"]
     lacking = []
     if sorted(columns) != sorted(takes.names):
+        names = zip(takes.names, columns, strict=False)
+        others = ",".join(f"{one}={other}" for one, other in names if one != other)
         lacking.append(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
-            f"{', '.join(takes.names)}"
+            f"{', '.join(takes.names)}: drive another robot (--robot), or learn from a dataset "
+            f"with its names (of a log: --columns {others})"
         )
     elif saved.controller.open_loop and tuple(columns) != takes.names:
         lacking.append(

@@ -196,7 +196,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         "stopped": stopped,
         "guard": {
             "predicted": _perimeter_of(saved) is not None,
-            "driven": _guard_of(recording) != "ignore",
+            "driven": _guarded(recording),
         },
         "replanned": foreseen is not None,
         "deadlines": recording.meta.get("deadlines"),
@@ -373,10 +373,14 @@ def _perimeter_of(saved: SavedController) -> Perimeter | None:
     return Perimeter.from_json(saved.simulator.get("perimeter"))
 
 
-def _guard_of(recording: Recording) -> str:
-    """Return the guard's stop at the perimeter in a recording."""
-    guard = recording.meta.get("settings", {}).get("guard") or {}
-    return str(guard.get("at_line", "end"))
+def _guarded(recording: Recording) -> bool:
+    """Return whether the guard could stop the robot at the board's edge or its line."""
+    meta = recording.meta
+    guard = meta.get("settings", {}).get("guard") or {}
+    if guard.get("at_line") == "ignore":
+        return False
+    sees = guard.get("by") != "position" and bool(meta["robot"].get("light_sensors"))
+    return sees or (meta.get("camera") or {}).get("kind") != "none"
 
 
 def _reason(task: Task, judged: Judgement, stop: Stop | None, ended_early: bool) -> str | None:

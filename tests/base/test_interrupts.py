@@ -315,6 +315,19 @@ def test_any_error_that_comes_out_of_an_interrupted_compiler_is_an_interruption(
     assert capsys.readouterr().err == f"{INTERRUPTED}\n"
 
 
+def test_it_says_how_to_go_on_if_one_can():
+    commands = main_module.cli.commands
+    for name in ("record", "evolve", "sample", "back-to-reality"):
+        assert (
+            main_module._how_to_go_on(commands[name]) == "; the same command with --resume goes on"
+        )
+    for name in ("demo", "pipeline"):
+        assert main_module._how_to_go_on(commands[name]) == "; the same command goes on"
+    for name in ("run", "train", "report"):
+        assert main_module._how_to_go_on(commands[name]) == ""
+    assert main_module._how_to_go_on(None) == ""
+
+
 def _swallow(number):
     with contextlib.suppress(KeyboardInterrupt):
         send(number)

@@ -6,9 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.files import write_json
 from neurosim.base.place import Place
 from neurosim.base.trajectory import Trajectory
+from neurosim.tasks.files import FORMAT, VERSION, read_task
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.registry import make_task
 
@@ -146,3 +148,17 @@ def test_starts_anywhere_on_a_board_are_seen_from_a_goal_anywhere_on_it():
 def test_settings_that_cannot_be_are_named(settings, message):
     with pytest.raises(UserError, match=message):
         GoTo(**settings)
+
+
+def test_goals_may_be_an_array():
+    goals = np.array([[0.3, 0.1, 0.5], [0.0, 0.2, 0.0]])
+    task = make_task("go-to", goals=goals)
+    assert task == make_task("go-to", goals=goals.tolist())
+    assert make_task(json.loads(json.dumps(task.describe()))) == task
+
+
+def test_a_misspelt_setting_in_a_file_is_named(tmp_path):
+    path = tmp_path / "task.json"
+    write_json(path, FORMAT, VERSION, {"name": "go-to", "settings": {"gaols": [[0.3, 0.1, 0.0]]}})
+    with pytest.raises(FileError, match=r"field 'settings': .* no setting 'gaols'; it has .*goals"):
+        read_task(str(path))

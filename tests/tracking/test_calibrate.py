@@ -348,6 +348,14 @@ def test_four_corners_need_the_size_of_the_board(tmp_path):
     assert not (tmp_path / "c.json").exists()
     done = CliRunner().invoke(command, [*words, "--board", "2.0x1.3"])
     assert done.exit_code == 0, done.exception
+    # A calibration is not lost by a second one.
+    first = (tmp_path / "c.json").read_bytes()
+    done = CliRunner().invoke(command, [*words, "--board", "4.0x2.6"])
+    assert "c.json exists; name another calibration, or add --overwrite" in str(done.exception)
+    assert (tmp_path / "c.json").read_bytes() == first
+    done = CliRunner().invoke(command, [*words, "--board", "4.0x2.6", "--overwrite"])
+    assert done.exit_code == 0, done.exception
+    assert (tmp_path / "c.json").read_bytes() != first
 
 
 def test_four_corners_and_nothing_else(tmp_path):

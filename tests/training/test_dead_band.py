@@ -6,11 +6,13 @@ import torch
 from nxt_drives import displacements
 
 from neurosim.base import se2
+from neurosim.base.errors import UserError
 from neurosim.lab.nxt.params import LabParams
 from neurosim.lab.nxt.physics import new_state, slip_field
 from neurosim.recording.commands import RandomCommands
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import TrainingData
+from neurosim.training.train import learn
 from neurosim.training.trainers.drive_fit import Motion, fit_drive
 
 pytestmark = pytest.mark.slow
@@ -84,6 +86,14 @@ def test_where_both_creep_neither_is_judged_alone():
     slow = np.repeat(np.arange(1.0, 9.0), 3)
     x = np.vstack([x, np.column_stack([0 * slow, 0 * slow, slow, slow, 1.0 + slow / 8])])
     np.testing.assert_allclose(dead_bands(x, driven(x, (4.5, 4.5))), 4.5)
+
+
+def test_given_ones_are_as_many_as_the_inputs():
+    x = commands(80, straight=0.0)
+    rows = torch.tensor(x), torch.tensor(driven(x, (4.5, 4.5)))
+    data = TrainingData([{"name": name, "unit": ""} for name in NAMES], *rows)
+    with pytest.raises(UserError, match=r"dead_band: expected 5 numbers, .*prev_left.*, not 1$"):
+        learn(data, 0, dead_band=(0.1,), members=1, noise=False)
 
 
 def test_of_three_actuators_each_has_its_own():

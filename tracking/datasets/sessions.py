@@ -26,8 +26,7 @@ _SILENCE = 10.0
 #: Speed of a jump, in multiples of the speed of all but 5 % of the steps, of that of all but 1 % of
 #: the steps after a median over 7, and of that of the three steps before and after it.
 _JUMP, _OVER_NEIGHBOURS = 4.0, 8.0
-#: Times that a robot is taken to jump to exactly the same place and away, before this place is taken
-#: for the sign of a robot that is lost.
+#: Number of jumps to exactly the same place from which on it is the sign of a robot that is lost.
 _LOST = 5
 #: Duration over which courses are computed, s; largest difference of headings from them, rad.
 _COURSE, _FITS = 0.5, 0.6
@@ -131,8 +130,8 @@ def without_lost(poses: NDArray) -> tuple[NDArray, list[str]]:
         if went > came / 2:
             poses = np.where(there[:, None], np.nan, poses)
             warnings.append(
-                f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, where "
-                f"it jumps {_times(came)}: it counts as not seen there; --keep keeps them"
+                f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, "
+                f"where it jumps {_times(came)}: it counts as not seen there; --keep keeps them"
             )
     return poses, warnings
 

@@ -253,6 +253,12 @@ class CombinedTrainer:
         x, y = data.scaled_inputs, data.y
         driven, band = list(self._columns.driven), None
         if settings.dead_band is not None:
+            names = [one["name"] for one in data.inputs]
+            if len(settings.dead_band) != len(names):
+                raise UserError(
+                    f"dead_band: expected {len(names)} numbers, one for each input "
+                    f"({', '.join(names)}), not {len(settings.dead_band)}"
+                )
             band = torch.tensor(settings.dead_band, dtype=x.dtype)[driven]
         elif "dead_band" in settings.without:
             band = torch.zeros(len(driven), dtype=x.dtype)
