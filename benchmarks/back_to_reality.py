@@ -10,6 +10,7 @@ method holds to be best is measured in ten further trials, of which the mean cou
     floors
     python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings next to ours
     python benchmarks/back_to_reality.py --servos --show     # a filmed robot, a third of the trials
+    python benchmarks/back_to_reality.py --servos --repeats --floors tiles lawn
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
 Each run (a method, a seed, a floor) is a line of the file, written as soon as the run ends; runs in
@@ -19,6 +20,7 @@ tuned on main; the spread of the random parameter sets on carpet, too.
 With ``--servos`` the simulator has the properties of servos, its trials last up to 20 s and end at
 the circle, too, and there are 40 evaluations: once the robot is filmed, and L3 compares paths, and
 once there is no L3; the runs, with ``--floors tiles lawn``, are in benchmarks/filmed.jsonl.
+``--repeats`` evaluates gaits of the filmed robot twice: no prediction can be better than that.
 ``--paper`` takes the paper's 600 generations, 45 for L3 and trials of 20 s; without it there are
 120, 20 and 5 s.
 """
@@ -37,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality import Alternation, Journal, Simulated, settings_named
+from neurosim.back_to_reality.adapt import rank_correlation
 from neurosim.back_to_reality.evaluations import Evaluations
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import JsonLines
@@ -393,6 +396,33 @@ def speed() -> str:
     return text
 
 
+def repeats(floor: str, seed: int, size: dict[str, Any]) -> str:
+    """Return how much two evaluations in reality of the same gaits differ.
+
+    The gaits are those of the filmed robot's rounds after L3, so that no simulator can predict them
+    better than this.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        job = Job(FILMED, floor, seed, size, Path(folder))
+        order, about = METHODS[FILMED](job)
+        first = [one for one in order.all if one.count == 1]
+        # The gait to begin with and a round of candidates come before the first L3.
+        after = first[1 + settings_named("better").candidates :]
+        genes, fitness = (
+            np.array([getattr(one, n) for one in after]) for n in ("genes", "fitness")
+        )
+        task = Walking(size["seconds"], circle=size["circle"])
+        other = Journal(VirtualWalker(Gait(), floor, 20_000 + seed, task), Path(folder) / "again")
+        again = other.evaluate(genes, "again")
+    l3 = [one["held_out"]["after"] for one in about["cycles"] if "held_out" in one]
+    return (
+        f"{floor}, seed {seed}: {len(genes)} gaits, evaluated twice, differ by "
+        f"{100 * np.sqrt(np.mean((again - fitness) ** 2)):.1f} cm/s (RMS), rank "
+        f"{rank_correlation(again, fitness):.2f}; as predicted by L3: "
+        + ", ".join(f"{100 * one['rms']:.1f} and {one['rank'] or 0:.2f}" for one in l3)
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("-o", "--out", type=Path, default=KEPT, help="file of the runs")
@@ -416,6 +446,9 @@ def main() -> None:
     parser.add_argument("--show", action="store_true", help="run nothing")
     parser.add_argument("--json", action="store_true", help="print the medians as JSON")
     parser.add_argument("--servos", action="store_true", help="the methods with servos alone")
+    parser.add_argument(
+        "--repeats", action="store_true", help="with --servos: how much evaluations of a gait vary"
+    )
     options = parser.parse_args()
     if options.servos:
         options.methods, options.budget = list(SERVOS), FEW
@@ -440,6 +473,13 @@ def main() -> None:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:
         size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2, "budget": 8}
+    if options.repeats:
+        if not options.servos:
+            parser.error("--repeats is for filmed robots: add --servos")
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
+            for floor in options.floors:
+                print(repeats(floor, seed, size), flush=True)
+        return
     try:
         file = JsonLines(options.out, "neurosim-table", 1, {"size": size})
     except FileError as error:  # such as runs of another size

@@ -122,6 +122,10 @@ def test_evaluation_takes_names_as_evolution_does(folder):
             r"no method act\(\)",
         ),
         (lambda: ns.evaluate(IdealWheels(), "go-to", "plan")("abc"), "genes must be numbers"),
+        (
+            lambda: (f := ns.evaluate(IdealWheels(), "go-to", "plan"))(np.zeros((0, f.genes))),
+            r"expected genes \[P, \d+\] or \[\d+\], got \(0, ",
+        ),
         (lambda: IdealWheels().sense(np.zeros((1, 3))), "IdealWheels has no sensors"),
         (lambda: ns.evolve(IdealWheels(), generation=3), "no setting 'generation'; it has optim"),
         (lambda: ns.evolve(IdealWheels(), generations=0), "generations: .* found 0"),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from khepera_data import made_up
-from motion_networks import drive_model, random_motion_network
+from motion_networks import drive_model, noise_model, random_motion_network
 
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network, Plan, Recurrent
@@ -33,7 +33,7 @@ def simulators():
     """Return one of each make, by name."""
     straight = drive_model(curved=False, **OF_ACTUATORS)
     return {
-        "driven": random_motion_network(drives=straight),
+        "driven": random_motion_network(drives=straight, noise=noise_model(moved=False)),
         "driven at once": random_motion_network(
             drives=drive_model(curved=False, **AT_ONCE, **OF_ACTUATORS)
         ),

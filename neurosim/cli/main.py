@@ -193,14 +193,14 @@ def main() -> None:
 
 def _interrupted() -> NoReturn:
     ignore_signals()
-    click.echo(INTERRUPTED + _how_to_go_on(cli.commands.get("".join(sys.argv[1:2]))), err=True)
+    click.echo(INTERRUPTED + _again(cli.commands.get("".join(sys.argv[1:2]))), err=True)
     sys.exit(exit_code())
 
 
-def _how_to_go_on(command: click.Command | None) -> str:
-    """Return how a command that was interrupted is gone on with, if it can be."""
+def _again(command: click.Command | None) -> str:
+    """Return how a command continues after an interruption; empty if it does not."""
     if command is None:
         return ""
     if any(option.name == "resume" for option in command.params):
-        return "; the same command with --resume goes on"
-    return "; the same command goes on" if command in (demo, pipeline) else ""
+        return "; to continue, run the command again with --resume"
+    return "; to continue, run the command again" if command in (demo, pipeline) else ""

@@ -167,13 +167,13 @@ def _replanning(
         if simulator is not None or settings:
             raise UserError("--simulator and the settings of replanning need --replan")
         return None
-    found = simulator or known
-    if found is None:
+    folder = simulator or known
+    if folder is None:
         raise UserError(
             "the simulator of the plan was moved or changed: name one with --simulator, or drive "
             "without replanning (--no-replan)"
         )
-    return read_simulator(found), ReplanSettings(**settings)
+    return read_simulator(folder), ReplanSettings(**settings)
 
 
 def _simulator(saved: Any, controller: Path) -> Path | None:

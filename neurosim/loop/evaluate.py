@@ -372,7 +372,7 @@ class Fitness:
         except (TypeError, ValueError):
             raise UserError(f"genes must be numbers [P, {self.genes}], not {genes!r:.60}") from None
         single, rows = rows.ndim == 1, np.atleast_2d(rows)
-        if rows.ndim != 2 or rows.shape[1] != self.genes:
+        if rows.ndim != 2 or rows.shape[1] != self.genes or not len(rows):
             raise UserError(f"expected genes [P, {self.genes}] or [{self.genes}], got {rows.shape}")
         if not np.isfinite(rows).all():
             row = int(np.argwhere(~np.isfinite(rows))[0, 0])

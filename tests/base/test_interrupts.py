@@ -315,17 +315,14 @@ def test_any_error_that_comes_out_of_an_interrupted_compiler_is_an_interruption(
     assert capsys.readouterr().err == f"{INTERRUPTED}\n"
 
 
-def test_it_says_how_to_go_on_if_one_can():
-    commands = main_module.cli.commands
+def test_the_message_says_how_a_command_continues_if_it_can():
+    def added(name):
+        return main_module._again(main_module.cli.commands.get(name))
+
     for name in ("record", "evolve", "sample", "back-to-reality"):
-        assert (
-            main_module._how_to_go_on(commands[name]) == "; the same command with --resume goes on"
-        )
-    for name in ("demo", "pipeline"):
-        assert main_module._how_to_go_on(commands[name]) == "; the same command goes on"
-    for name in ("run", "train", "report"):
-        assert main_module._how_to_go_on(commands[name]) == ""
-    assert main_module._how_to_go_on(None) == ""
+        assert added(name) == "; to continue, run the command again with --resume"
+    assert added("demo") == added("pipeline") == "; to continue, run the command again"
+    assert added("run") == added("train") == added("unknown") == ""
 
 
 def _swallow(number):

@@ -544,6 +544,7 @@ def test_ctrl_c_within_compiled_code_is_an_interruption_however_often_it_is_wrap
         raise error
 
     monkeypatch.setattr(cli, "main", wrapped)
+    monkeypatch.setattr(sys, "argv", ["neurosim", "evolve", "simulator"])
     with pytest.raises(SystemExit) as stop:
         main()
     message = capsys.readouterr().err

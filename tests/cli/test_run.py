@@ -1,4 +1,4 @@
-"""What a drive needs, and the text of its result."""
+"""The simulator and the guard of a drive, and the text of its result."""
 
 from pathlib import Path
 from types import SimpleNamespace

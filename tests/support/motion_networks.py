@@ -21,12 +21,17 @@ def normal(seed, *shape):
     return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
 
-def noise_model(seed=0, size=-4.0):
-    """Return a noise model of about e^size metres and radians."""
+def noise_model(seed=0, size=-4.0, moved=True):
+    """Return a noise model of about e^size metres and radians.
+
+    If ``moved``, its size also depends on the motion.
+    """
     sampled = {
         name: 0.2 * normal(seed + n, *shape)
         for n, (name, shape) in enumerate(NoiseModel.SHAPES.items())
     }
+    last = sampled["log_scale"][:, -1:] if moved else torch.zeros(3, 1)
+    sampled["log_scale"] = torch.cat([0.2 * normal(seed + 1, 3, 5), last], dim=1)
     sampled["unit"] = torch.tensor([1.0, 0.2, 0.1])
     sampled["log_scale"][:, 0] += size
     sampled["sources"] *= 0.1

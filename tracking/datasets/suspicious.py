@@ -148,13 +148,12 @@ def suspicions(
     """
     if len(moved.twist) < 8:
         return []
-    if sideways := _sideways(moved, names):
-        return [*_constant(moved, names), *sideways]
-    return [
-        *_constant(moved, names),
-        *_units(moved, names, units, given, read or given),
-        *_turns(moved, names, units, given),
-    ]
+    by_units = _units(moved, names, units, given, read or given)
+    # Headings in another unit are no way to go; otherwise a wrong way is no unit.
+    sideways = [] if any("--angle" in one for one in by_units) else _sideways(moved, names)
+    if not sideways:
+        sideways = [*by_units, *_turns(moved, names, units, given)]
+    return [*_constant(moved, names), *sideways]
 
 
 def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
