@@ -338,7 +338,14 @@ def _check_reach(evaluator: Evaluator) -> None:
         return
     genes = np.stack([np.zeros(controller.genes), np.ones(controller.genes)])
     commands, active = controller.commands(genes, 0.0)
-    check_commands(evaluator.simulator, commands[active | (commands[..., -1] > 0)], "the commands")
+    given = commands[active | (commands[..., -1] > 0)]
+    try:
+        check_commands(evaluator.simulator, given, "the commands of plans")
+    except UserError as error:
+        raise UserError(
+            f"{error}; give plans a smaller range (--max-speed, --durations, --limits), or add "
+            "--extrapolate"
+        ) from None
 
 
 def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, NDArray]:

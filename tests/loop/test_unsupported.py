@@ -83,7 +83,8 @@ def test_evolution_keeps_to_what_was_recorded():
     best = evolve(sim, TASK, plan, settings=settings, progress=False)
     assert all(one.predicted["unsupported"] <= 0.1 for one in best)
     wide = Plan(slots=4, max_speed=80.0)
-    with pytest.raises(UserError, match=r"the commands.* lies outside"):
+    outside = r"the commands of plans.* lies outside .*--max-speed.* --extrapolate$"
+    with pytest.raises(UserError, match=outside):
         evolve(sim, TASK, wide, settings=settings, progress=False)
     free = default_settings(wide, TASK, generations=2, runs=1, final_draws=64, extrapolate=True)
     (evolved,) = evolve(sim, TASK, wide, settings=free, progress=False)
