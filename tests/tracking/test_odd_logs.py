@@ -8,6 +8,7 @@ from neurosim.base.errors import FileError, UserError
 from tracking.datasets import clocks, logs
 from tracking.datasets.csv_files import Conventions, import_csv
 from tracking.datasets.logs import Settings
+from tracking.datasets.sessions import without_lost
 
 DT = 0.05
 
@@ -293,7 +294,7 @@ def test_the_place_of_a_robot_that_is_lost(imported, place, share):
     whole, _ = imported(time, poses, commands)
     lost = poses.copy()
     rows = np.random.default_rng(5).random(len(time)) < share
-    rows[0] = rows[-1] = False
+    rows[0] = rows[-1] = share > 0.1
     for column, value in enumerate(place):
         if value is not None:
             lost[rows, column] = value
@@ -307,6 +308,18 @@ def test_the_place_of_a_robot_that_is_lost(imported, place, share):
     assert np.abs(made.output_array()[:, :2]).max() < 1.02 * largest
     kept, _ = imported(time, lost, commands, settings=Settings(keep=True))
     assert np.abs(kept.output_array()[:, :2]).max() > 4.0
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_robot_that_drives_past_the_same_places_or_begins_there_is_not_lost(begins):
+    """It drives there and back along a line, in millimetres; most of the time it creeps."""
+    drive = np.concatenate([np.arange(0.0, 1.0, 0.05), np.arange(1.0, 1.02, 0.001)])
+    rounds = [drive] * 8 if begins else [drive, drive[::-1]] * 8
+    x = np.round(np.concatenate(rounds), 3)
+    poses = np.column_stack([x, 0 * x, 0 * x])
+    result, warnings = without_lost(poses)
+    assert warnings == []
+    assert (result == poses).all()
 
 
 def test_many_outliers_at_different_places_are_left_out(imported):

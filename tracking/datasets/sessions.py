@@ -110,7 +110,8 @@ def sessions_of(
 def without_lost(poses: NDArray) -> tuple[NDArray, list[str]]:
     """Return poses (N, 3) with NaN where they say that the robot is lost, and a sentence on it.
 
-    Many trackers then write the same place, such as 0, 0. The robot seems to jump there, and back.
+    Many trackers then write the same place, such as 0, 0. The robot seems to jump there, and back
+    to where it was, unlike one that drives past.
 
     Args:
         poses: x, y in m, and heading.
@@ -119,19 +120,22 @@ def without_lost(poses: NDArray) -> tuple[NDArray, list[str]]:
     moves = steps[steps > 0]
     if len(moves) < 8:
         return poses, []
-    far = steps > _OVER_NEIGHBOURS * np.median(moves)
-    arrives, leaves = (np.zeros(len(poses), np.bool_) for _ in range(2))
-    arrives[1:], leaves[:-1] = far, far
-    places, which = np.unique(poses[arrives, :2], axis=0, return_counts=True)
+    jumps = 1 + np.flatnonzero(steps > _OVER_NEIGHBOURS * np.median(moves))
+    places, which = np.unique(poses[jumps, :2], axis=0, return_counts=True)
     warnings = []
     for place in places[which >= _LOST]:
         there = (poses[:, :2] == place).all(axis=1)
-        came, went = int((there & arrives).sum()), int((there & leaves).sum())
-        if went > came / 2:
+        edges = np.diff(there.astype(int))
+        before, after = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) + 1
+        after = after[int(there[0]) :]  # of the others, each has a row before
+        first, last = (poses[rows[: len(after)], :2] for rows in (before, after))
+        away, back = (np.hypot(*(first - other).T) for other in (place, last))
+        if (back < away / 2).sum() > len(before) / 2:
             poses = np.where(there[:, None], np.nan, poses)
             warnings.append(
                 f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, "
-                f"where it jumps {_times(came)}: it counts as not seen there; --keep keeps them"
+                f"where it jumps {_times(len(before))}: it counts as not seen there; --keep keeps "
+                "them"
             )
     return poses, warnings
 
