@@ -418,7 +418,7 @@ def repeats(floor: str, seed: int, size: dict[str, Any]) -> str:
     return (
         f"{floor}, seed {seed}: {len(genes)} gaits, evaluated twice, differ by "
         f"{100 * np.sqrt(np.mean((again - fitness) ** 2)):.1f} cm/s (RMS), rank "
-        f"{rank_correlation(again, fitness):.2f}; as predicted by L3: "
+        f"{rank_correlation(again, fitness) or 0:.2f}; as predicted by L3: "
         + ", ".join(f"{100 * one['rms']:.1f} and {one['rank'] or 0:.2f}" for one in l3)
     )
 
@@ -472,7 +472,8 @@ def main() -> None:
     if options.paper:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:
-        size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2, "budget": 8}
+        size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2}
+        size["budget"] = FEW if options.repeats else 8  # repeats need a second round
     if options.repeats:
         if not options.servos:
             parser.error("--repeats is for filmed robots: add --servos")
