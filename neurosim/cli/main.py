@@ -193,7 +193,7 @@ def main() -> None:
 
 def _interrupted() -> NoReturn:
     ignore_signals()
-    click.echo(INTERRUPTED + _again(cli.commands.get("".join(sys.argv[1:2]))), err=True)
+    click.echo(INTERRUPTED + _again(cli.commands.get(next(iter(sys.argv[1:]), ""))), err=True)
     sys.exit(exit_code())
 
 

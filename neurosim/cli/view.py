@@ -97,7 +97,7 @@ def view(
     text = str(out)
     if "fitness" in result:
         why = "completes the task" if result["completes"] else f"the robot {result['reason']}"
-        text += f": in this drive fitness {result['fitness']:z.4g}, {why}"
+        text += f": one drive, fitness {result['fitness']:z.4g}, {why}"
         if "contacts" in result:
             text += f", {contacts_in_words(result['contacts'])}"
     emit({"picture": str(out), **result}, as_json, text)

@@ -256,12 +256,14 @@ def missing(
     columns = [name for name in saved.controller.outputs if name != "duration"]
     lacking = []
     if sorted(columns) != sorted(takes.names):
-        names = zip(takes.names, columns, strict=False)
-        others = ",".join(f"{one}={other}" for one, other in names if one != other)
+        ours, theirs = set(columns) - set(takes.names), set(takes.names) - set(columns)
+        same = ""
+        if len(ours) == len(theirs) == 1:  # such as v, w and v, omega
+            name, other = min(theirs), min(ours)
+            same = f", or, if {other} is its {name}, import the log with --columns {name}={other}"
         lacking.append(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
-            f"{', '.join(takes.names)}: drive another robot (--robot), or learn from a dataset "
-            f"with its names (of a log: --columns {others})"
+            f"{', '.join(takes.names)}: drive another robot (--robot){same}"
         )
     elif saved.controller.open_loop and tuple(columns) != takes.names:
         lacking.append(

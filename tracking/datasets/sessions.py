@@ -121,23 +121,22 @@ def without_lost(poses: NDArray) -> tuple[NDArray, list[str]]:
     if len(moves) < 8:
         return poses, []
     jumps = 1 + np.flatnonzero(steps > _OVER_NEIGHBOURS * np.median(moves))
-    places, which = np.unique(poses[jumps, :2], axis=0, return_counts=True)
-    warnings = []
-    for place in places[which >= _LOST]:
-        there = (poses[:, :2] == place).all(axis=1)
-        edges = np.diff(there.astype(int))
-        before, after = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) + 1
-        after = after[int(there[0]) :]  # of the others, each has a row before
-        first, last = (poses[rows[: len(after)], :2] for rows in (before, after))
-        away, back = (np.hypot(*(first - other).T) for other in (place, last))
-        if (back < away / 2).sum() > len(before) / 2:
-            poses = np.where(there[:, None], np.nan, poses)
-            warnings.append(
-                f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, "
-                f"where it jumps {_times(len(before))}: it counts as not seen there; --keep keeps "
-                "them"
-            )
-    return poses, warnings
+    places, times = np.unique(poses[jumps, :2], axis=0, return_counts=True)
+    if times.max(initial=0) < _LOST:
+        return poses, []
+    place = places[times.argmax()]
+    there = (poses[:, :2] == place).all(axis=1)
+    edges = np.diff(there.astype(int))
+    before, after = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) + 1
+    after = after[int(there[0]) :]  # of the others, each has a row before
+    first, last = (poses[rows[: len(after)], :2] for rows in (before, after))
+    away, back = (np.hypot(*(first - other).T) for other in (place, last))
+    if (back < away / 2).sum() <= len(before) / 2:
+        return poses, []
+    return np.where(there[:, None], np.nan, poses), [
+        f"{there.sum()} lines have the robot at exactly {place[0]:g}, {place[1]:g} m, where it "
+        f"jumps {_times(len(before))}: it counts as not seen there; --keep keeps them"
+    ]
 
 
 def _times(count: int) -> str:
@@ -230,8 +229,8 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     steps = np.maximum(steps, np.median(steps) / 2)
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
     around = sliding_window_view(np.pad(speed, 3, mode="edge"), 7)
-    limit = max(np.quantile(speed, 0.95), np.quantile(np.median(around, axis=1), 0.99))
-    limit = min(_JUMP * limit, _JUMP * np.quantile(speed, 0.99))
+    lasting = max(np.quantile(speed, 0.95), np.quantile(np.median(around, axis=1), 0.99))
+    limit = _JUMP * min(lasting, np.quantile(speed, 0.99))
     jumps = []
     for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
         neighbours = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]

@@ -151,9 +151,8 @@ def suspicions(
     by_units = _units(moved, names, units, given, read or given)
     # Headings in another unit are no way to go; otherwise a wrong way is no unit.
     sideways = [] if any("--angle" in one for one in by_units) else _sideways(moved, names)
-    if not sideways:
-        sideways = [*by_units, *_turns(moved, names, units, given)]
-    return [*_constant(moved, names), *sideways]
+    of_motion = sideways or [*by_units, *_turns(moved, names, units, given)]
+    return [*_constant(moved, names), *of_motion]
 
 
 def _constant(moved: Moved, names: Sequence[str]) -> list[str]:

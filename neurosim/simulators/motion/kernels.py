@@ -31,7 +31,7 @@ from neurosim.simulators.motion.drive import (
     STILL,
 )
 from neurosim.simulators.motion.floor import on_floor
-from neurosim.simulators.motion.noise import DRAWS, FULLY_MOVED, HEAVIEST, LEAST_CHORD, TINY
+from neurosim.simulators.motion.noise import DRAWS, HALF_MOVED, HEAVIEST, LEAST_CHORD, TINY
 from neurosim.simulators.motion.sensors import read
 
 #: Number of values of the noise's size, see :func:`spread`.
@@ -712,8 +712,8 @@ def own_spread(a, x, out):
     Args:
         a: :class:`MotionModel` of a simulator with a noise model.
         x: [I] inputs.
-        out: [SIZES], written: the factors of s_t^2 (rad^2), s_f^2, s_s^2 (m^2) and, last, the
-            term of ln tau that depend on the inputs.
+        out: [SIZES], written: the parts of s_t^2 (rad^2), s_f^2, s_s^2 (m^2) and, last, of ln tau
+            that depend on the inputs.
     """
     duration = 1.0
     if a.duration >= 0:
@@ -758,7 +758,7 @@ def spread(a, scale, mean, out):
     m_t = turn / a.noise_unit[0]
     m_f, m_s = ahead / a.noise_unit[1], left / a.noise_unit[2]
     size = math.sqrt(m_t * m_t + m_f * m_f + m_s * m_s)
-    log_moved = math.log(size / (size + FULLY_MOVED) + 0.02)
+    log_moved = math.log(size / (size + HALF_MOVED) + 0.02)
     for j in range(3):
         out[j] = scale[j] * math.exp(2.0 * a.noise_log_scale[j, 5] * log_moved)
     for j in range(3, 9):

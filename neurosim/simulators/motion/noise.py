@@ -25,8 +25,8 @@ The rest has heavy tails, as if its scale itself were uncertain (Clark 1973, Eco
 41): g is standard normal, the same for all three, and ln s and :math:`\ln \tau` are linear in
 features of the command: its suddenness, its duration, the speed of the motors before it (after a
 stop the caster's direction is unknown), and the motion that follows: a robot that stands does not
-stray, and what the start adds is complete after a few centimetres. :math:`\tau` depends on distance
-and turn.
+stray, and what a start adds grows ever more slowly with the motion. :math:`\tau` depends on
+distance and turn.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ HEAVIEST = 1.5
 SCALE_FEATURES = ("one", "jump", "reversal", "time", "before", "moved")
 TAIL_FEATURES = ("one", "travel", "turn")
 
-#: Size of a twist, in units, beyond which more motion changes ln s little.
-FULLY_MOVED = 2.0
+#: Size of a twist, in units, at which the feature of the motion is half of its largest value.
+HALF_MOVED = 2.0
 
 #: Number of sources of noise during the motion.
 SOURCES = 3
@@ -177,7 +177,7 @@ def features(
         torch.where(reverses, torch.where(reverses, reversal, 1.0).sqrt(), 0.0),
         (duration + 0.02).log(),
         (speed + 0.02).log(),
-        (size / (size + FULLY_MOVED) + 0.02).log(),
+        (size / (size + HALF_MOVED) + 0.02).log(),
     ]
     turn = (mean[:, 2] / unit[0]).abs()
     tail = [one, (travel + 0.01).log(), (turn + 0.02).log()]
