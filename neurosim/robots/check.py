@@ -100,8 +100,9 @@ class _Tried:
         )
         if 2 * late > STEP:
             sentence += (
-                f": too slow for a closed-loop controller with steps of {STEP:g} s; raise --baud, "
-                "use a cable in place of a radio, or give the task longer steps"
+                f": too slow for a closed-loop controller with steps of {STEP:g} s; use a "
+                "cable in place of a radio, a faster serial line (--baud), or give the task longer "
+                "steps"
             )
             return Finding("latency", "wrong", sentence, measured)
         return Finding("latency", "good", sentence, measured)

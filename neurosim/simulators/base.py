@@ -362,6 +362,9 @@ def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., An
         rows += [options.pop(one) for one in arguments[len(rows) :] if one in options]
         pairs = zip(arguments, rows, strict=False)  # Python reports missing arguments itself
         tensors = [_tensor(self, name, argument, one) for argument, one in pairs]
+        for one in (*given[len(arguments) :], options.get("generator")):
+            if isinstance(one, np.random.Generator | np.random.RandomState):
+                raise UserError("the generator is one of PyTorch: torch.Generator().manual_seed(0)")
         result = method(self, *tensors, *given[len(arguments) :], **options)
         return result if isinstance(rows[0], Tensor) else result.detach().cpu().numpy()
 

@@ -227,7 +227,7 @@ def _log_likelihood(
 
 
 def fit_spread(
-    error: Tensor, noise: Tensor, members: Tensor, weight: Tensor
+    error: Tensor, noise: Tensor, members: Tensor, weight: Tensor, usually: float = USUAL_SPREAD
 ) -> tuple[Tensor, Tensor]:
     """Return factors of the noise and of the members' differences [3] for windows of rows.
 
@@ -238,11 +238,12 @@ def fit_spread(
         noise: samples of the noise, [D, W, 3].
         members: differences of the members from the mean, [M, W, 3].
         weight: of the windows, [W]; together, they count as many as there are separate ones.
+        usually: usual factor of the members' differences; that of the noise is 1.
 
     Returns:
         Factors of turn, forward and sideways; without windows the usual ones.
     """
-    usual = torch.tensor([[1.0], [USUAL_SPREAD]], dtype=torch.float64).repeat(1, 3)
+    usual = torch.tensor([[1.0], [usually]], dtype=torch.float64).repeat(1, 3)
     if not len(weight):
         return usual[0], usual[1]
     places = torch.tensor([0.1, 0.9], dtype=noise.dtype)

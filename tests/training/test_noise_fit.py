@@ -160,8 +160,8 @@ def test_short_and_long_windows_are_within_the_spread(of_noise, of_members):
         for of_output in held[some[:, 0]].mean(0).tolist():
             assert of_output == pytest.approx(0.8, abs=0.06)
     # Few windows change the usual factors little.
-    first, second = fit_spread(
-        error[:4], noise[:, :4], members[:, :4], torch.full((4,), 0.01).double()
-    )
-    assert first.tolist() == pytest.approx([1.0] * 3, abs=0.05)
-    assert second.tolist() == pytest.approx([USUAL_SPREAD] * 3, abs=0.05)
+    few = error[:4], noise[:, :4], members[:, :4], torch.full((4,), 0.01).double()
+    for usually in (USUAL_SPREAD, 3.0):
+        first, second = fit_spread(*few, usually)
+        assert first.tolist() == pytest.approx([1.0] * 3, abs=0.05)
+        assert second.tolist() == pytest.approx([usually] * 3, abs=0.05)

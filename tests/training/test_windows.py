@@ -12,6 +12,7 @@ from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.evaluate import compare, predict
 from neurosim.training.train import learn, training_data
+from neurosim.training.trainers import combined
 from neurosim.training.trainers.drive_fit import Actuators, Fit
 from neurosim.training.trainers.windows import LENGTHS, Chains, runs_of, windows_of
 from tracking.datasets.dataset import make
@@ -175,8 +176,8 @@ def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
     return Log("hand", moment, commands, np.ones(count, bool), moment, poses)
 
 
-def dataset_of(log):
-    rows, left_out, windows = any_rows_of([log], ("v", "w"), Settings())
+def dataset_of(log, **settings):
+    rows, left_out, windows = any_rows_of([log], ("v", "w"), Settings(**settings))
     inputs = inputs_of({"v": "", "w": ""})
     return make(rows, inputs, sources=[], left_out=left_out, settings={}, windows=windows)
 
@@ -232,6 +233,23 @@ def test_intervals_of_windows_hold_for_drives_of_the_simulator_itself():
     ranks = np.concatenate(held)
     for level in (0.5, 0.8, 0.95):
         assert (ranks <= level).mean(0) == pytest.approx(np.full(3, level), abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "farther"), [(10.0, (2.5, 5.5)), (80.0, (1.1, 1.7))])
+def test_members_differ_more_where_a_log_is_short(monkeypatch, seconds, farther):
+    """Usually 1 + 20/n times, n: blocks of 2 s."""
+    log = joystick(np.random.default_rng(2), seconds, drive_model(0.1, (0.15, 0.25)))
+    data, apart = dataset_of(log, windows=True), []
+    for blocks in (combined.FEW_BLOCKS, 0.0):
+        monkeypatch.setattr(combined, "FEW_BLOCKS", blocks)
+        simulator = learn(training_data(data), 0)
+        starts = simulator.start_as(torch.zeros(8, 3), torch.arange(8))
+        ends = simulator.step(starts, torch.tensor([[1.0, 0.5, 1.0]]).repeat(8, 1))
+        apart.append(ends[:, :3].std(0))
+    ratio = apart[0] / apart[1]
+    assert (farther[0] < ratio).all()
+    assert (ratio < farther[1]).all()
 
 
 def test_windows_of_the_ideal_robot_stand_beside_those_of_the_simulator():

@@ -42,7 +42,7 @@ from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, distur
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.error_size import row_weights
 from neurosim.training.excess import fit_excess
-from neurosim.training.noise import fit_noise, fit_spread
+from neurosim.training.noise import USUAL_SPREAD, fit_noise, fit_spread
 from neurosim.training.trainers.drive_fit import Fit, Motion, fit_again, fit_drive
 from neurosim.training.trainers.floor_fit import FloorFit, evened, fit_floor
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
@@ -76,6 +76,9 @@ SCARCE = 50
 #: Parts of a log, each predicted by drive models of the others, the largest number of rows of a
 #: block in one, and samples of the noise, for the spread of windows.
 PARTS, BLOCK, SPREAD_DRAWS = 4, 300, 50
+#: Number of blocks of a log at which its members differ by twice the usual factor: within a minute,
+#: a log does not show all that a robot can do.
+FEW_BLOCKS = 20.0
 #: Number of steps of the tried weights of the Gaussian process.
 _FRACTIONS = 10
 #: If a chord is shorter than this fraction of its arc, its end tells nothing about the speed.
@@ -744,19 +747,27 @@ class CombinedTrainer:
         differs = (differs * rows.factor[:whole]).roll(1, -1)  # the turn first
         error = summed(residual(mean, self._moved_evenly()[:whole]))
         sums = torch.stack(own), summed(differs)
-        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight)
+        usually = USUAL_SPREAD
+        if self._windows is not None:
+            usually *= 1.0 + FEW_BLOCKS / (int(self._blocks[-1]) + 1)
+        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight, usually)
         return of_noise, of_members.roll(-1).unsqueeze(1)
 
-    def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
-        """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
+    @property
+    def _blocks(self) -> Tensor:
+        """The number of the independent block of each whole row, [N].
 
-        Rows that are shorter than a window are weighted together, because their errors are similar.
+        Rows that are shorter than a window share one, because their errors are similar.
         """
         time = self._data.x[:, self._columns.duration]
-        block = torch.arange(len(time))
-        if self._windows is not None:
-            block = ((time.cumsum(0) - time) / LENGTHS[-1]).long()
-            block = block.unique(return_inverse=True)[1]
+        if self._windows is None:
+            return torch.arange(len(time))
+        block = ((time.cumsum(0) - time) / LENGTHS[-1]).long()
+        return block.unique(return_inverse=True)[1]
+
+    def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
+        """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981)."""
+        block = self._blocks
         blocks = int(block[-1]) + 1
         uniform = torch.rand(members, blocks, generator=generator, dtype=torch.float64)
         weights = -torch.log1p(-uniform)
