@@ -83,11 +83,23 @@ class Tab:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def click_on(self, selector):
-        self.click(*self.run(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
-            "e.scrollIntoView({block: 'nearest'}); const b = e.getBoundingClientRect();"
-            "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
-        ))  # fmt: skip
+        """Click on an element, again where the page has moved it away before the click came."""
+        element = f"document.querySelector({json.dumps(selector)})"
+        self.run(
+            "(() => { window.hit = false;"
+            f"{element}.addEventListener('click', () => {{ window.hit = true; }},"
+            "{capture: true, once: true}); })()"
+        )
+
+        def hit():
+            self.click(*self.run(
+                f"(() => {{ const e = {element};"
+                "e.scrollIntoView({block: 'nearest'}); const b = e.getBoundingClientRect();"
+                "return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+            ))  # fmt: skip
+            return self.run("window.hit !== false")  # another page does not know of it
+
+        wait_until(hit, f"a click on {selector}")
 
     def press(self, key, text="", modifiers=0):
         for kind in ("Down", "Up"):
