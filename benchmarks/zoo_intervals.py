@@ -16,8 +16,8 @@ Fractions are those of dx, dy and dtheta of held-out windows, their means over l
 
 The last table has the means over robots and seeds: with few rows one recording's intervals may be
 too narrow and another's too wide. How noise is learned from few rows was chosen on ``classroom``,
-``large``, ``tracked``, ``car``, ``omni``, ``lab 101`` and the log of ``asphalt``; the others are
-only reported.
+``large``, ``tracked``, ``car``, ``omni``, ``lab 101`` and the log of ``asphalt``; by how much
+members of a short log differ, on the logs of ``dart`` and ``boat``. The others are only reported.
 
 On one idle core about a minute for a robot and 1,000 rows. ``--kept FILE`` keeps results; it knows
 nothing of changes to robots or trainer: delete it then.
