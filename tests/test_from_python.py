@@ -83,10 +83,13 @@ def test_gradients_flow_through_steps_of_float32():
             r"command must be \[B, 3\].* left, right, duration, not of shape \[1, 2\]",
         ),
         (lambda s: s.start([["here", 0, 0]]), "pose must be numbers"),
-        (lambda s: s.start([[0.0] * 3], np.random.default_rng(0)), "generator is one of PyTorch"),
+        (
+            lambda s: s.start([[0.0] * 3], np.random.default_rng(0)),
+            "generator must be PyTorch's: torch",
+        ),
         (
             lambda s: s.start([[0.0] * 3], generator=np.random.default_rng(0)),
-            "generator is one of PyTorch",
+            "generator must be PyTorch's: torch",
         ),
     ],
 )

@@ -101,7 +101,7 @@ class _Tried:
         if 2 * late > STEP:
             sentence += (
                 f": too slow for a closed-loop controller with steps of {STEP:g} s; use a "
-                "cable in place of a radio, a faster serial line (--baud), or give the task longer "
+                "cable in place of a radio, raise --baud on a serial line, or give the task longer "
                 "steps"
             )
             return Finding("latency", "wrong", sentence, measured)

@@ -364,7 +364,7 @@ def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., An
         tensors = [_tensor(self, name, argument, one) for argument, one in pairs]
         for one in (*given[len(arguments) :], options.get("generator")):
             if isinstance(one, np.random.Generator | np.random.RandomState):
-                raise UserError("the generator is one of PyTorch: torch.Generator().manual_seed(0)")
+                raise UserError("generator must be PyTorch's: torch.Generator().manual_seed(0)")
         result = method(self, *tensors, *given[len(arguments) :], **options)
         return result if isinstance(rows[0], Tensor) else result.detach().cpu().numpy()
 

@@ -227,7 +227,7 @@ def _log_likelihood(
 
 
 def fit_spread(
-    error: Tensor, noise: Tensor, members: Tensor, weight: Tensor, usually: float = USUAL_SPREAD
+    error: Tensor, noise: Tensor, members: Tensor, weight: Tensor, usual: float = USUAL_SPREAD
 ) -> tuple[Tensor, Tensor]:
     """Return factors of the noise and of the members' differences [3] for windows of rows.
 
@@ -238,19 +238,19 @@ def fit_spread(
         noise: samples of the noise, [D, W, 3].
         members: differences of the members from the mean, [M, W, 3].
         weight: of the windows, [W]; together, they count as many as there are separate ones.
-        usually: usual factor of the members' differences; that of the noise is 1.
+        usual: usual factor of the members' differences; that of the noise is 1.
 
     Returns:
         Factors of turn, forward and sideways; without windows the usual ones.
     """
-    usual = torch.tensor([[1.0], [usually]], dtype=torch.float64).repeat(1, 3)
+    centre = torch.tensor([[1.0], [usual]], dtype=torch.float64).repeat(1, 3)
     if not len(weight):
-        return usual[0], usual[1]
+        return centre[0], centre[1]
     places = torch.tensor([0.1, 0.9], dtype=noise.dtype)
     low, high = noise.quantile(places, dim=0)
     of_noise = ((high - low) / (2.0 * _OF_NORMAL)).square()
     of_members = members.square().sum(0) / max(len(members), 1)
-    logs = usual.log().requires_grad_()
+    logs = centre.log().requires_grad_()
 
     def loss() -> Tensor:
         logs.grad = None
@@ -258,7 +258,7 @@ def fit_spread(
         variance = (of_noise * first + of_members * second).clamp(min=FINEST**2)
         off = error.square() / variance * (_OF_STUDENT / _OF_NORMAL) ** 2 / _FREEDOM
         each = (_FREEDOM + 1.0) / 2.0 * off.log1p() + variance.log() / 2.0
-        value = (weight @ each).sum() + SPREAD_PULL / 2.0 * (logs - usual.log()).square().sum()
+        value = (weight @ each).sum() + SPREAD_PULL / 2.0 * (logs - centre.log()).square().sum()
         value.backward()
         return value
 

@@ -161,7 +161,7 @@ def test_short_and_long_windows_are_within_the_spread(of_noise, of_members):
             assert of_output == pytest.approx(0.8, abs=0.06)
     # Few windows change the usual factors little.
     few = error[:4], noise[:, :4], members[:, :4], torch.full((4,), 0.01).double()
-    for usually in (USUAL_SPREAD, 3.0):
-        first, second = fit_spread(*few, usually)
+    for usual in (USUAL_SPREAD, 3.0):
+        first, second = fit_spread(*few, usual)
         assert first.tolist() == pytest.approx([1.0] * 3, abs=0.05)
-        assert second.tolist() == pytest.approx([usually] * 3, abs=0.05)
+        assert second.tolist() == pytest.approx([usual] * 3, abs=0.05)

@@ -76,8 +76,8 @@ SCARCE = 50
 #: Parts of a log, each predicted by drive models of the others, the largest number of rows of a
 #: block in one, and samples of the noise, for the spread of windows.
 PARTS, BLOCK, SPREAD_DRAWS = 4, 300, 50
-#: Number of blocks of a log at which its members differ by twice the usual factor: within a minute,
-#: a log does not show all that a robot can do.
+#: Number of blocks of a log at which its members differ twice as much as those of a long one: less
+#: than a minute of driving does not show all that a robot can do.
 FEW_BLOCKS = 20.0
 #: Number of steps of the tried weights of the Gaussian process.
 _FRACTIONS = 10
@@ -747,10 +747,10 @@ class CombinedTrainer:
         differs = (differs * rows.factor[:whole]).roll(1, -1)  # the turn first
         error = summed(residual(mean, self._moved_evenly()[:whole]))
         sums = torch.stack(own), summed(differs)
-        usually = USUAL_SPREAD
+        usual = USUAL_SPREAD
         if self._windows is not None:
-            usually *= 1.0 + FEW_BLOCKS / (int(self._blocks[-1]) + 1)
-        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight, usually)
+            usual *= 1.0 + FEW_BLOCKS / (int(self._blocks[-1]) + 1)
+        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight, usual)
         return of_noise, of_members.roll(-1).unsqueeze(1)
 
     @property
