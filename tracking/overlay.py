@@ -23,16 +23,18 @@ _BITS = 4
 
 
 def check_overlay(overlay: str | Path, video: Path) -> None:
-    """Refuse an overlay that cannot be written, or would replace its source video.
+    """Refuse an overlay that cannot be written, or would replace a film.
 
     Raises:
-        UserError: if it is the video itself, or its ending is not .mp4, .mkv or .avi.
+        UserError: if the file exists, or its ending is not .mp4, .mkv or .avi.
     """
     overlay = Path(overlay)
     if overlay.suffix.lower() not in _FOURCC:
         raise UserError(f"{overlay}: name the overlay video .mp4, .mkv or .avi")
     if overlay.exists() and overlay.samefile(video):
         raise UserError(f"{overlay} is the video itself; name another file for the overlay")
+    if overlay.exists():
+        raise UserError(f"{overlay} exists already; name another file, or remove it yourself")
 
 
 class Overlay:

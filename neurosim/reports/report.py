@@ -35,7 +35,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         folders: any mix of recording, dataset, simulator, controller and trial folders,
             recognised by the JSON in them. A missing part is left out of the page; a line names the
             folder to add.
-        out: the HTML file; an older one is replaced.
+        out: the file, ``.html``; an older one is replaced.
 
     Returns:
         ``verdict`` (a sentence or two), ``virtual`` (whether data is from the virtual lab, None if
@@ -47,12 +47,14 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
 
     Raises:
-        UserError: if no folder is given, or ``out`` is a folder.
+        UserError: if no folder is given, or ``out`` is a folder or has another suffix.
         FileError: if a folder is of no known kind, or a file in one is missing or wrong.
     """
     out = Path(out)
     if out.is_dir():
         raise UserError(f"{out} is a folder; name an HTML file to write")
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"{out}: a report is written as .html; name such a file")
     artefacts = gather(folders)
     tests = accuracy.test(artefacts)
     summary = summarise(artefacts, tests)

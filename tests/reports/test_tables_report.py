@@ -5,7 +5,7 @@ import pytest
 from khepera_data import made_up
 from report_page import Page
 
-from neurosim.base.errors import FileError
+from neurosim.base.errors import FileError, UserError
 from neurosim.base.place import paper_arena
 from neurosim.controllers import Network, SavedController
 from neurosim.loop.unmet import Unmet
@@ -121,6 +121,13 @@ def test_the_legend_stands_beside_the_lines(tmp_path, monkeypatch):
     pictures[0].draw_without_rendering()
     legend, panel = axes.get_legend().get_window_extent(), axes.get_window_extent()
     assert legend.y0 >= panel.y1 - 1
+
+
+def test_a_report_replaces_no_file_of_another_kind(tmp_path):
+    (tmp_path / "poses.csv").write_text("t,x,y,theta\n")
+    with pytest.raises(UserError, match=r"a report is written as \.html"):
+        write_report([network(tmp_path / "a", [10.0], [5.0])], tmp_path / "poses.csv")
+    assert (tmp_path / "poses.csv").read_text() == "t,x,y,theta\n"
 
 
 @pytest.mark.parametrize(

@@ -478,6 +478,9 @@ def test_bare_video_that_will_not_do(tmp_path, frames):
     before = (tmp_path / "bare.avi").read_bytes()
     with pytest.raises(UserError, match="is the video itself"):
         track_video(tmp_path / "bare.avi", ("pink", "blue"), overlay=tmp_path / "bare.avi")
+    write_video(tmp_path / "other.avi", frames[:3])
+    with pytest.raises(UserError, match="exists already; name another file"):
+        track_video(tmp_path / "other.avi", ("pink", "blue"), overlay=tmp_path / "bare.avi")
     assert (tmp_path / "bare.avi").read_bytes() == before
     with pytest.raises(UserError, match="not a number"):
         track_video(tmp_path / "bare.avi", ("pink", "blue"), height=math.nan)
@@ -486,7 +489,7 @@ def test_bare_video_that_will_not_do(tmp_path, frames):
     )
     assert "no recording or video file" in str(done.exception)
     assert not (tmp_path / "out").exists()
-    assert sorted(Path(tmp_path).iterdir()) == [tmp_path / "bare.avi", tmp_path / "none.avi"]
+    assert {path.name for path in Path(tmp_path).iterdir()} == {"bare.avi", "none.avi", "other.avi"}
 
 
 def test_the_rigid_fit_by_hand():

@@ -288,7 +288,8 @@ def _logs(
         )
     still = np.diff(time, prepend=-np.inf) == 0
     if still.mean() > 0.5:
-        table.refuse(still, "time", "the same time stands in two lines, and in most others, too")
+        repeated = "most lines repeat the time of the line before: name another column by --columns"
+        table.refuse(still, "time", repeated)
     seen = np.isfinite(poses).all(axis=1)
     if not seen.any():
         raise FileError(table.path, "no line has a pose: x, y and heading are never all given")

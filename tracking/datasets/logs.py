@@ -219,6 +219,15 @@ def is_known(pose_times: NDArray, begins: NDArray, lasts: float) -> NDArray[np.b
     return inside & ~_silent(pose_times, begins, begins + lasts, lasts / 2)
 
 
+def off_axis(direction: NDArray) -> NDArray:
+    """Return the angles, 0 to pi/2, between directions (K,) of motion and the robot's axis.
+
+    Args:
+        direction: rad, in the robot's frame; forwards and backwards are both along the axis.
+    """
+    return np.abs((direction + np.pi / 2) % np.pi - np.pi / 2)
+
+
 # Rows that follow one another
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError
-from tracking.datasets.logs import Log, Settings, is_known
+from tracking.datasets.logs import Log, Settings, is_known, off_axis
 
 #: Silence of the clock, in multiples of the longest gap, that separates drives.
 _SILENCE = 10.0
@@ -253,8 +253,7 @@ def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:
     distance = np.hypot(moved[:, 0], moved[:, 1])
     size = np.quantile(distance, 0.95)
     usable = (distance > 0.2 * size) & (np.abs(moved[:, 2]) < 1.0) & is_known(time, grid, _COURSE)
-    off = np.arctan2(moved[:, 1], moved[:, 0]) - moved[:, 2] / 2
-    off = np.abs((off + np.pi / 2) % np.pi - np.pi / 2)
+    off = off_axis(np.arctan2(moved[:, 1], moved[:, 0]) - moved[:, 2] / 2)
     if usable.sum() < 8 or np.median(off[usable]) > _MOST_FIT:
         return log, []
     stretches = []

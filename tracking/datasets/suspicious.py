@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.declared import Checked
-from tracking.datasets.logs import Log, is_known
+from tracking.datasets.logs import Log, is_known, off_axis
 
 #: Units in SI.
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -173,8 +173,7 @@ def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
     fast = speed > 0.3 * np.quantile(speed, 0.95)
     if len(names) > 2 or fast.sum() < 8:
         return []
-    course = np.arctan2(moved.twist[fast, 1], moved.twist[fast, 0])
-    off = float(np.median(np.abs((course + np.pi / 2) % np.pi - np.pi / 2)))
+    off = float(np.median(off_axis(np.arctan2(moved.twist[fast, 1], moved.twist[fast, 0]))))
     if off < _ASIDE:
         return []
     return [
