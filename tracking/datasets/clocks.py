@@ -2,8 +2,9 @@
 
 A robot answers a command a little later, never earlier. If poses are stamped by another clock, or
 by the time at which they arrived, they seem to answer much later, or before. The motion is
-regressed on earlier commands, through lags of several sizes; the time shift with the best fit is
-the poses' delay (delay by cross-correlation: Knapp and Carter 1976).
+regressed on earlier commands, through lags of several sizes; the time shift with which commands
+best explain the motion at other times is the poses' delay (delay by cross-correlation: Knapp and
+Carter 1976). Short logs are explained by chance at some shift, but not at other times.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from tracking.datasets.logs import Log, is_known
 ROBOTS = 0.5
 #: Earliness of poses that counts as none, s, because a command is sent within a step of a log.
 _EARLY = 0.1
-#: Largest delay of poses (s), the grid, tried lags (s), and number of steps.
-_EARLIEST, _LATEST, _STEP, _MOST = -2.0, 3.0, 0.05, 4000
+#: Largest delay of poses (s), the grid, tried lags (s), and number of steps. Alternate stretches of
+#: this length (s) are explained by the others.
+_EARLIEST, _LATEST, _STEP, _MOST, _STRETCH = -2.0, 3.0, 0.05, 4000, 4.0
 _LAGS = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 #: Largest remaining fraction of the motion's variance, and of the remainder at a robot's best
 #: possible delay.
@@ -46,7 +48,7 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
             robot's, or if the poses are early.
     """
     if delay is None:
-        late = lateness(max(logs, key=lambda log: len(log.pose_time)))
+        late = lateness(logs)
         if late is None or -_EARLY <= late.delay <= ROBOTS:
             return list(logs), []
         delay = late.delay
@@ -62,25 +64,28 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
     return [replace(log, pose_time=log.pose_time - delay) for log in logs], warnings
 
 
-def lateness(log: Log) -> Lateness | None:
-    """Return the delay of a log's poses; None if the commands explain too little."""
-    step = max(_STEP, 2.0 * float(np.median(np.diff(log.time))))
-    begin = max(log.time[0], log.pose_time[0]) - _LATEST
-    end = min(log.time[-1], log.pose_time[-1]) + _LATEST
-    grid = np.arange(begin, end, step)[:_MOST]
-    if len(grid) < 40:
+def lateness(logs: Sequence[Log]) -> Lateness | None:
+    """Return the delay of the poses of logs of one clock; None if commands explain too little."""
+    step = max(_STEP, 2.0 * float(np.median(np.concatenate([np.diff(log.time) for log in logs]))))
+    parts, count = [], 0
+    for log in sorted(logs, key=lambda log: -len(log.pose_time)):
+        # With what is unknown before and after it, no shift joins two logs.
+        begin = max(log.time[0], log.pose_time[0]) - _LATEST
+        end = min(log.time[-1], log.pose_time[-1]) + _LATEST
+        grid = np.arange(begin, end, step)[: _MOST - count]
+        if len(grid):
+            parts.append(_sampled(log, grid, step))
+            count += len(grid)
+    if count < 40:
         return None
-    twist = se2.mid_turn(se2.between(log.pose_at(grid), log.pose_at(grid + step)))[:, [0, 2]]
-    known = is_known(log.pose_time, grid, 4.0 * step)
-    place = np.searchsorted(log.time, grid + step / 2, side="right") - 1
-    given = (place >= 0) & (grid + step / 2 <= log.time[-1])
-    commands = log.commands[np.clip(place, 0, len(log.time) - 1)]
+    twist, known, commands, given = (np.concatenate(part) for part in zip(*parts, strict=True))
+    half = np.arange(count) * step // _STRETCH % 2
     shifts = np.arange(round(_EARLIEST / step), round(_LATEST / step) + 1)
     lefts = np.full((len(_LAGS), len(shifts), twist.shape[1]), np.inf)
     for number, lag in enumerate(_LAGS):
         features = _features(_lagged(commands, step, lag))
-        for place_, shift in enumerate(shifts.tolist()):
-            lefts[number, place_] = _unexplained(features, given, twist, known, shift)
+        for place, shift in enumerate(shifts.tolist()):
+            lefts[number, place] = _unexplained(features, given, twist, known, half, shift)
     # A heavy body, as that of a boat, follows more slowly forward than in a turn, or less.
     least = lefts.min(0)
     moves = (~np.isnan(least)).sum(1)
@@ -94,6 +99,18 @@ def lateness(log: Log) -> Lateness | None:
     if left[best] > _BETTER * left[robots].min():
         best = int(robots[left[robots].argmin()])
     return Lateness(float(shifts[best] * step + _between(left, best) * step), float(left[best]))
+
+
+def _sampled(log: Log, grid: NDArray, step: float) -> tuple[NDArray, ...]:
+    """Return the motion in steps from times (K,), whether it is known, commands, and whether given.
+
+    The motion, forward and turn, is (K, 2), commands are (K, C).
+    """
+    twist = se2.mid_turn(se2.between(log.pose_at(grid), log.pose_at(grid + step)))[:, [0, 2]]
+    known = is_known(log.pose_time, grid, 4.0 * step)
+    place = np.searchsorted(log.time, grid + step / 2, side="right") - 1
+    given = (place >= 0) & (grid + step / 2 <= log.time[-1])
+    return twist, known, log.commands[np.clip(place, 0, len(log.time) - 1)], given
 
 
 def _between(left: NDArray, best: int) -> float:
@@ -124,22 +141,30 @@ def _features(speeds: NDArray) -> NDArray:
 
 
 def _unexplained(
-    features: NDArray, given: NDArray, twist: NDArray, known: NDArray, shift: int
+    features: NDArray,
+    given: NDArray,
+    twist: NDArray,
+    known: NDArray,
+    half: NDArray,
+    shift: int,
 ) -> NDArray:
     """Return the fraction of each motion's variance that earlier commands leave unexplained.
 
-    It is infinite where too little is known, and NaN for a motion that does not vary.
+    Each half of the motion is explained as the other half was. It is infinite where too little is
+    known, and NaN for a motion that does not vary.
     """
     count = len(twist)
     late = slice(max(shift, 0), count + min(shift, 0))
     early = slice(max(-shift, 0), count - max(shift, 0))
     usable = known[late] & given[early]
-    if usable.sum() < max(40, 0.3 * min(known.sum(), given.sum())):
+    parts = [usable & (half[late] == number) for number in (0, 1)]
+    if min(part.sum() for part in parts) < max(20, 0.12 * min(known.sum(), given.sum())):
         return np.full(twist.shape[1], np.inf)
-    x, y = features[early][usable], twist[late][usable]
-    y = y - y.mean(0)
-    spread = (y**2).sum(0)
-    moves = spread > 1e-12
-    square = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1])
-    error = ((y - x @ np.linalg.solve(square, x.T @ y)) ** 2).sum(0)
+    x, y = features[early], twist[late] - twist[late][usable].mean(0)
+    spread = (y[usable] ** 2).sum(0)
+    moves, error = spread > 1e-12, np.zeros(twist.shape[1])
+    for learned, other in (parts, parts[::-1]):
+        square = x[learned].T @ x[learned] + 1e-6 * learned.sum() * np.eye(x.shape[1])
+        weights = np.linalg.solve(square, x[learned].T @ y[learned])
+        error += ((y[other] - x[other] @ weights) ** 2).sum(0)
     return np.where(moves, error / np.where(moves, spread, 1.0), np.nan)
