@@ -51,8 +51,8 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, runs_of
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
-    *("laws", "modes", "car", "dead_band", "swing", "process", "row_weights", "drive_members"),
-    *("floor", "spread", "excess"),
+    *("laws", "modes", "car", "straight", "dead_band", "swing", "process", "row_weights"),
+    *("drive_members", "floor", "spread", "excess"),
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
@@ -125,12 +125,13 @@ class CombinedSettings(Checked):
         whole_commands: Learn from whole commands alone, not from parts of them.
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``modes`` (these laws for a body that is slower
-            than its actuators), ``car`` (a robot that turns only while it drives), ``dead_band``,
-            ``swing`` (how a caster turns when the direction changes), ``process`` (the Gaussian
-            process), ``row_weights`` (rows with larger errors count less), ``drive_members`` (a
-            drive model for each member), ``floor`` (a map of the slip over the board), ``spread``
-            (the size of noise and of members' differences by runs of commands or windows of a
-            log), ``excess`` (how long a speed that is measured lasts; learned with ``spread``).
+            than its actuators), ``car`` (a robot that turns only while it drives), ``straight``
+            (speeds proportional to commands), ``dead_band``, ``swing`` (how a caster turns when the
+            direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows with
+            larger errors count less), ``drive_members`` (a drive model for each member), ``floor``
+            (a map of the slip over the board), ``spread`` (the size of noise and of members'
+            differences by runs of commands or windows of a log), ``excess`` (how long a speed that
+            is measured lasts; learned with ``spread``).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -275,7 +276,7 @@ class CombinedTrainer:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
-        may_be = ("modes" not in settings.without, "car" not in settings.without)
+        may_be = (name not in settings.without for name in ("modes", "car", "straight"))
         return self._leave(fit_drive(self._motion, laws, band, *may_be))
 
     def _leave(self, fit: Fit) -> Tensor:

@@ -69,6 +69,9 @@ _LOST = 1.5
 _INERT, _ALIKE, _WORST, _ASIDE = 10.0, 0.9, 5.0, 0.2
 #: Gain in log-likelihood for the prior of a car.
 _STEERED = 1.0
+#: Width of the prior of a straight static curve, as a fraction of the usual one, and the gain in
+#: the logarithm of the evidence for it.
+_STRAIGHT, _EVIDENT = 0.1, 5.0
 #: Derivatives are differences over this fraction of a prior's width; steps are at most this long.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: Damping of steps: first, smallest and largest value, and the factors of its change.
@@ -286,6 +289,7 @@ class Motion:
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
+        straight: whether the prior holds static curves nearly straight.
         precision: reciprocal of the relative size of the errors of turns and of translations, [2,
             N]; None: all are alike.
     """
@@ -300,6 +304,7 @@ class Motion:
     turning: Tensor | None = None
     modes: Tensor | None = None
     steered: bool = False
+    straight: bool = False
     precision: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
@@ -392,6 +397,7 @@ class Rows(Protocol):
         turning: of the drive models that are fitted, [C].
         modes: of the drive models that are fitted, [C, C].
         steered: whether the prior is that of a car.
+        straight: whether the prior holds static curves nearly straight.
         belief: gain in log-likelihood for accepting a delay.
     """
 
@@ -408,6 +414,9 @@ class Rows(Protocol):
 
     @property
     def steered(self) -> bool: ...
+
+    @property
+    def straight(self) -> bool: ...
 
     def some(self, most: int) -> Rows:
         """Return stretches of the rows, about ``most`` rows or fewer."""
@@ -468,6 +477,7 @@ def fit_drive(
     band: Tensor | None = None,
     body: bool = True,
     car: bool = True,
+    straight: bool = True,
 ) -> Fit:
     """Return the drive model of rows.
 
@@ -479,8 +489,9 @@ def fit_drive(
         band: dead bands, scaled, [C]; found from the rows if not given.
         body: whether the laws may be those of the body's modes, if these fit the rows better.
         car: whether the prior may be that of a car, if it fits the rows better.
+        straight: whether static curves may be held nearly straight, if that fits the rows better.
     """
-    fit = _fit_evenly(rows, laws, band, body, car)
+    fit = _fit_evenly(rows, laws, band, body, car, straight)
     if not (laws and isinstance(fit.rows, Motion) and len(fit.rows.x) >= _SIZED):
         return fit
     turns, shifts = (one.error[0] for one in fit.rows.fitted(fit.actuators)[1][:2])
@@ -491,7 +502,9 @@ def fit_drive(
     return Fit.of(sized, fit.band, best, True)
 
 
-def _fit_evenly(rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bool) -> Fit:
+def _fit_evenly(
+    rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bool, straight: bool
+) -> Fit:
     """Return the drive model of rows whose errors all have one size; see :func:`fit_drive`."""
     count = len(rows.columns.driven)
     searched = rows.some(_ROWS)
@@ -508,7 +521,7 @@ def _fit_evenly(rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bo
         costs = [_costs(each, roughly[None], none) for each in (searched, cars)]
         if costs[0] - costs[1] > _STEERED:
             rows, searched = replace(rows, steered=True), cars
-    fit, cost = _fully(rows, roughly, band, *limits)
+    fit, cost = _fully(rows, roughly, band, *limits, straight)
     twists, _ = searched.fitted(Actuators.of(roughly[None], none))
     # Of a car, only the products tell the turn: there are no modes in its linear terms.
     body = body and count > 1 and not rows.steered
@@ -519,12 +532,17 @@ def _fit_evenly(rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bo
     slow = _roughly(of_modes, *limits)
     if _costs(searched, roughly[None], none) - _costs(of_modes, slow[None], none) < _INERT:
         return fit
-    inert, less = _fully(replace(rows, modes=modes), slow, band, *limits)
+    inert, less = _fully(replace(rows, modes=modes), slow, band, *limits, straight)
     return inert if cost - less > _INERT else fit
 
 
 def _fully(
-    rows: Rows, laws: Tensor, band: Tensor | None, lowest: Tensor, highest: Tensor
+    rows: Rows,
+    laws: Tensor,
+    band: Tensor | None,
+    lowest: Tensor,
+    highest: Tensor,
+    straight: bool,
 ) -> tuple[Fit, float]:
     """Return the best drive model from approximate laws [L, C], and its cost."""
     searched = rows.some(_ROWS)
@@ -536,7 +554,27 @@ def _fully(
     again = band if given is not None else _dead_bands(searched, best)
     if not torch.equal(again, band):
         band, best = again, _again(searched, again, best, lowest, highest)
+    if straight:
+        nearly, laws = replace(searched, straight=True), best.clone()
+        laws[_CURVE:_DELAY] *= _STRAIGHT
+        laws = _again(nearly, band, laws, lowest, highest, _STEPS)
+        pairs = (searched, best), (nearly, laws)
+        curved, less = (_less_evident(each, band, own, lowest, highest) for each, own in pairs)
+        if curved - less > _EVIDENT:
+            rows, searched, best = replace(rows, straight=True), nearly, laws
     return Fit.of(rows, band, best, True), float(_costs(searched, best[None], band))
+
+
+def _less_evident(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> float:
+    """Return minus the logarithm of the evidence for the rows' prior, but for a constant.
+
+    By Laplace's approximation around the best laws [L, C] (MacKay 1992, section 3).
+    """
+    varied = _varied(laws, lowest, _kept(laws, highest))
+    near = _near(rows, band, laws, varied, highest)
+    curvature = near.slope.T @ (near.weight.unsqueeze(1) * near.slope)
+    curvature = curvature + torch.eye(len(curvature), dtype=curvature.dtype)
+    return float(_costs(rows, laws[None], band)) + 0.5 * float(torch.logdet(curvature))
 
 
 def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
@@ -700,11 +738,23 @@ def _again(
     steps: int = _AGAIN,
 ) -> Tensor:
     """Return the laws [L, C] of slightly changed rows, from the laws of the original ones."""
+    return _refined(rows, band, laws, lowest, _kept(laws, highest), steps)[0]
+
+
+def _kept(laws: Tensor, highest: Tensor) -> Tensor:
+    """Return the upper limits of laws [L, C] with which a delay and a drag of 0 remain so."""
     highest = highest.clone()
     highest[_DRAG, laws[_DRAG] == 0.0] = 0.0
     if laws[_DELAY, 0] == 0.0:
         highest[_DELAY] = 0.0
-    return _refined(rows, band, laws, lowest, highest, steps)[0]
+    return highest
+
+
+def _varied(laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Return which laws a search varies, [L, C]; the delay is common to all: the first column's."""
+    varied = (highest > lowest).expand_as(laws).clone()
+    varied[_DELAY, 1:] = False
+    return varied
 
 
 def outside(command: Tensor, band: Tensor) -> Tensor:
@@ -730,32 +780,17 @@ def _refined(
         highest: upper limit of each, [L, C].
         steps: largest number of steps.
     """
-
-    def errors(laws: Tensor) -> list[Errors]:
-        return rows.fitted(Actuators.of(laws, band))[1]
-
     laws = torch.minimum(laws, highest)
-    width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
-    varied = highest > lowest
-    varied[_DELAY, 1:] = False  # the delay is common to all: the first column's
-    unit = width[varied]
-    now = errors(laws[None])
-    cost, damping = float(_cost(laws[None], now)), _DAMPING
+    varied = _varied(laws, lowest, highest)
+    unit = _widths(rows).expand_as(laws)[varied]
+    cost, damping = float(_costs(rows, laws[None], band)), _DAMPING
     for _ in range(steps):
-        size = torch.cat([one.size[0].expand_as(one.error[0]) for one in now])
-        weight = torch.cat([one.weight.expand_as(one.error[0]) for one in now])
-        error = torch.cat([one.error[0] for one in now])
-        # Weights of iteratively reweighted least squares for Student's t.
-        weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
+        near = _near(rows, band, laws, varied, highest)
         here, low, high = laws[varied], lowest[varied], highest[varied]
-        signed_step = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
-        moved = laws.repeat(len(signed_step), 1, 1)
-        moved[:, varied] += torch.diag(signed_step * unit)
-        changes = torch.cat([one.error for one in errors(moved)], 1) - error
-        slope = (changes / size / signed_step.unsqueeze(1)).T  # by each law in units of its prior
-        off, counts = _off(laws)
-        gradient = slope.T @ (weight * error / size) + off[varied]
-        curvature = slope.T @ (weight.unsqueeze(1) * slope) + torch.diag(counts[varied])
+        off, counts = _off(laws, _widths(rows))
+        gradient = near.slope.T @ (near.weight * near.error) + off[varied]
+        curvature = near.slope.T @ (near.weight.unsqueeze(1) * near.slope)
+        curvature = curvature + torch.diag(counts[varied])
         # A law at a limit that would go beyond it stays there.
         free = ~(((here <= low) & (gradient > 0.0)) | ((here >= high) & (gradient < 0.0)))
         before = cost
@@ -766,10 +801,9 @@ def _refined(
             tried = laws.clone()
             tried[varied] = here + unit * step.clamp(-_LONGEST, _LONGEST)
             tried = torch.maximum(torch.minimum(tried, highest), lowest)
-            left_over = errors(tried[None])
-            reached = float(_cost(tried[None], left_over))
+            reached = float(_costs(rows, tried[None], band))
             if reached < cost:
-                laws, now, cost = tried, left_over, reached
+                laws, cost = tried, reached
                 damping = max(_LESS * damping, _FREEST)
             else:
                 damping *= _MORE
@@ -778,24 +812,60 @@ def _refined(
     return laws, cost
 
 
-def _cost(laws: Tensor, errors: list[Errors]) -> Tensor:
-    """Return minus the logarithm of the probability [P] of laws [P, L, C] after errors."""
-    return sum(one.cost for one in errors) + 0.5 * _off(laws)[0].square().sum((1, 2))
+class _Near(NamedTuple):
+    """Laws, and those near them.
+
+    Attributes:
+        error: all errors in units of their size, [E].
+        weight: of each, as in iteratively reweighted least squares for Student's t, [E].
+        slope: of the errors by each varied law in units of its prior, [E, V].
+    """
+
+    error: Tensor
+    weight: Tensor
+    slope: Tensor
+
+
+def _near(rows: Rows, band: Tensor, laws: Tensor, varied: Tensor, highest: Tensor) -> _Near:
+    """Return the errors at laws [L, C] with upper limits, and their slopes by the varied ones."""
+    here, high, unit = (part[varied] for part in (laws, highest, _widths(rows).expand_as(laws)))
+    step = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+    moved = laws.repeat(1 + len(step), 1, 1)
+    moved[1:, varied] += torch.diag(step * unit)
+    errors = rows.fitted(Actuators.of(moved, band))[1]
+    each = torch.cat([one.error for one in errors], 1)
+    size = torch.cat([one.size[0].expand_as(one.error[0]) for one in errors])
+    weight = torch.cat([one.weight.expand_as(one.error[0]) for one in errors])
+    error = each[0] / size
+    weight = weight * (FREEDOM + 1.0) / (FREEDOM + error.square())
+    return _Near(error, weight, ((each[1:] - each[0]) / size / step.unsqueeze(1)).T)
 
 
 def _costs(rows: Rows, laws: Tensor, band: Tensor) -> Tensor:
-    """Return the costs [P] of laws [P, L, C] after rows, with dead bands [C] or [P, C]."""
+    """Return minus the logarithm of the probability [P] of laws [P, L, C] after rows.
+
+    Dead bands are [C] or [P, C].
+    """
     pairs = zip(laws.split(_TOGETHER), band.expand_as(laws[:, 0]).split(_TOGETHER), strict=True)
-    return torch.cat([_cost(one, rows.fitted(Actuators.of(one, own))[1]) for one, own in pairs])
+    errors = [rows.fitted(Actuators.of(own, near))[1] for own, near in pairs]
+    costs = torch.cat([torch.stack([one.cost for one in each]).sum(0) for each in errors])
+    return costs + 0.5 * _off(laws, _widths(rows))[0].square().sum((1, 2))
 
 
-def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the deviation of laws [..., L, C] from usual ones, in widths of the prior."""
-    usual, width = (torch.tensor(v, dtype=torch.float64).unsqueeze(1) for v in (_USUAL, _WIDTH))
+def _widths(rows: Rows) -> Tensor:
+    """Return the widths of the rows' prior of laws, [L, 1]."""
+    width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1)
+    width[_CURVE:_DELAY] *= _STRAIGHT if rows.straight else 1.0
+    return width
+
+
+def _off(laws: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the deviation of laws [..., L, C] from usual ones, in widths [L, 1] of the prior."""
     counts = torch.ones_like(laws)
     counts[..., _DELAY, 1:] = 0.0
     # A rate above the usual one has no effect.
     counts[..., _RATE, :] = (laws[..., _RATE, :] < _USUAL[_RATE]).to(laws)
+    usual = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
     return (laws - usual) / width * counts, counts
 
 

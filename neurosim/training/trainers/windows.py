@@ -222,6 +222,7 @@ class Chains:
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
+        straight: whether the prior holds static curves nearly straight.
     """
 
     commanded: Tensor
@@ -236,6 +237,7 @@ class Chains:
     turning: Tensor | None = None
     modes: Tensor | None = None
     steered: bool = False
+    straight: bool = False
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
