@@ -40,7 +40,8 @@ def instant():
 
 def driven_twist(drive, left, right, time):
     speeds = double([[left, right]])
-    return sum(drive.pieces(drive.begun(speeds), speeds, double([time]))) @ drive.twists
+    pieces = drive.pieces(drive.begun(speeds), speeds, double([time]))
+    return sum(piece.features for piece in pieces) @ drive.twists
 
 
 @st.composite

@@ -50,13 +50,14 @@ def alike(
     delay=0.0,
     kinematics=None,
     drag=0.0,
+    drift=0.0,
 ):
     """Return a drive model of two actuators that are alike, of a differential drive."""
     if kinematics is None:
         kinematics = [[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3]
     laws = [double([value, value]) for value in (lag, slowing, braking, rate, stick)]
     rest = double([curve, curve]), double([delay]), double(kinematics)
-    return DriveModel(*laws, *rest, drag=double([drag, drag]))
+    return DriveModel(*laws, *rest, drag=double([drag, drag]), drift=double([drift]))
 
 
 def pairs(low, high):
@@ -165,13 +166,13 @@ def test_an_exponential_worked_by_hand():
     assert missed[0].tolist() == pytest.approx(distance)
     assert settling[0].tolist() == pytest.approx([0.5, 0.25])
     # 0.4 s after a delay of 0.1 s, within which nothing happens.
-    speed, _ = drive.reached(drive.begun(before), target, double([0.5]))
+    speed = drive.reached(drive.begun(before), target, double([0.5])).speed
     assert speed[0, 0] == pytest.approx(0.5 - 0.5 * up)
-    speed, _ = drive.reached(drive.begun(before), target, double([0.07]))
+    speed = drive.reached(drive.begun(before), target, double([0.07])).speed
     assert torch.equal(speed, before)
     # But the previous command continues to act.
     under = drive.begun(before, double([[1.0, 0.0]]))
-    speed, _ = drive.reached(under, target, double([0.07]))
+    speed = drive.reached(under, target, double([0.07])).speed
     assert speed[0].tolist() == pytest.approx([1 - math.exp(-0.35), 0.8 * math.exp(-0.35)])
 
 
@@ -282,6 +283,48 @@ def test_a_static_curve_worked_by_hand():
     assert drive.shaped(double([2.0, -2.0])).tolist() == pytest.approx([5.0, -1.4])
 
 
+def test_a_drift_worked_by_hand():
+    """The sideways speed of a turn at once, of 0.2 m/s, with a lag of its own of 0.5 s."""
+    kinematics = [[0.0] * 3, [0.0, 0.2, 0.0], *[[0.0] * 3] * 3]
+    drive = alike(lag=1e-6, rate=1e6, kinematics=kinematics, drift=0.5)
+    still, target = double([[0.0, 0.0]]), double([[0.0, 1.0]])
+    reached = drive.reached(drive.begun(still), target, double([1.0]))
+    assert reached.drift.item() == pytest.approx(0.2 * (1 - math.exp(-2.0)), rel=1e-2)
+    changing, steady = drive.phases(drive.begun(still), target, double([1.0]))
+    away = se2.compose(changing, se2.exp(steady))[0, 1].item()
+    assert away == pytest.approx(0.2 - 0.5 * reached.drift.item(), rel=1e-2)
+    # It goes on when the command ends.
+    under = drive.after(drive.begun(still), target, double([1.0]), reached)
+    more = drive.reached(under, still, double([0.5]))
+    assert more.drift.item() == pytest.approx(reached.drift.item() * math.exp(-1.0), rel=1e-2)
+
+
+@pytest.mark.parametrize("drift", [0.05, 0.4, 2.0])
+def test_a_ship_drifts_as_its_law_integrated_in_small_steps(drift):
+    rng = np.random.default_rng(3)
+    zero = [0.0] * 3
+    kinematics = [[0.8, 0.0, 0.0], [0.0, 0.0, 0.6], zero, [0.0, -0.4, 0.0], zero]
+    drive = alike(lag=0.6, delay=0.12, kinematics=kinematics, drift=drift)
+    commands = torch.from_numpy(rng.uniform(-1.0, 1.0, (60, 1, 2)))
+    under, pose = drive.begun(double([[0.0, 0.0]])), torch.zeros(1, 3, dtype=torch.float64)
+    lasts = double([0.1])
+    for target in commands:
+        changing, steady = drive.phases(under, target, lasts)
+        pose = se2.compose(pose, se2.compose(changing, se2.exp(steady)))
+        under = drive.after(under, target, lasts, drive.reached(under, target, lasts))
+    h, (x, y, heading), speed, aside = 1e-3, np.zeros(3), np.zeros(2), 0.0
+    for k in range(6000):
+        waited = k - 120
+        goal = commands[waited // 100, 0].numpy() if waited >= 0 else np.zeros(2)
+        speed = speed + (goal - speed) * h / 0.6
+        aside += (-0.4 * speed[0] * speed[1] - aside) * h / drift
+        x += h * (0.8 * speed[0] * math.cos(heading) - aside * math.sin(heading))
+        y += h * (0.8 * speed[0] * math.sin(heading) + aside * math.cos(heading))
+        heading += h * 0.6 * speed[1]
+    assert pose[0].tolist() == pytest.approx([x, y, heading], abs=2e-3)
+    assert under.drift.item() == pytest.approx(aside, abs=2e-3)
+
+
 #: Durations of commands, s.
 SPANS = {"short": (0.02, 0.1), "mixed": (0.02, 0.6), "long": (0.3, 3.0)}
 
@@ -299,7 +342,7 @@ def standing(drive, robots):
     """Return the pending commands of robots that stand."""
     zero = torch.zeros(robots, 2, dtype=torch.float64)
     slots = torch.zeros(robots, drive.slots, 2, dtype=torch.float64)
-    return Underway(zero, zero, slots, slots[..., 0])
+    return Underway(zero, zero, slots, slots[..., 0], zero[:, : int(drive.drifts)])
 
 
 def late_model(seed, sticky):
@@ -337,7 +380,8 @@ def off(seed, spans, sticky, dt):
     ends, distance, away = np.zeros(len(commands), int), 0.0, []
     for command in torch.from_numpy(commands).unbind(1):
         target, time = command[:, :2], command[:, 2]
-        distance = distance + sum(drive.pieces(under, target, time))[:, :2].numpy()
+        pieces = drive.pieces(under, target, time)
+        distance = distance + sum(piece.features for piece in pieces)[:, :2].numpy()
         under = drive.after(under, target, time, drive.reached(under, target, time))
         ends = ends + np.round(time.numpy() / dt).astype(int)
         for b, end in enumerate(ends):
@@ -355,7 +399,7 @@ def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, fraction, 
     whole = standing(drive, len(commands))
     # Twice as many may wait: they are kept apart even if they are short.
     goals, acts = (torch.cat([part, part], 1) for part in (whole.goals, whole.acts))
-    whole = cut = Underway(whole.speed, whole.push, goals, acts)
+    whole = cut = whole._replace(goals=goals, acts=acts)
     for command in commands.unbind(1):
         target, time = command[:, :2], command[:, 2]
         whole = drive.after(whole, target, time, drive.reached(whole, target, time))
@@ -497,7 +541,7 @@ def test_what_is_no_drive_model_is_refused():
         "drag": -0.1,
     }
     for wrong in ({name: value} for name, value in wrongs.items()):
-        with pytest.raises(ValueError, match="must be above 0, stick, delay and drag not below"):
+        with pytest.raises(ValueError, match="must be above 0, the other times and drag not"):
             alike(**wrong)
     assert can_drive(NAMES)
     assert not can_drive(NAMES, 3)
@@ -767,7 +811,7 @@ def test_another_command_begins_with_the_speeds_reached():
     states = driven(SIMULATOR, cut((0.2,), (0.3,)))
     target = SIMULATOR._speeds(double([FIRST]))
     drive, zero = SIMULATOR.drive, torch.zeros(1, 2).double()
-    reached, _ = drive.reached(drive.begun(zero), target, double([0.2]))
+    reached = drive.reached(drive.begun(zero), target, double([0.2])).speed
     began = SIMULATOR.state_names.index("began_speed_left")
     assert torch.allclose(states[:, 2, began : began + 2], reached.expand(4, 2))
     assert torch.equal(states[:, 1, 3:5], states[:, 2, began : began + 2])

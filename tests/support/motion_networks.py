@@ -39,7 +39,7 @@ def noise_model(seed=0, size=-4.0, moved=True):
 
 
 def drive_model(seed=0, actuators=2, curved=True, **parts):
-    """Return a drive model of a robot of about 0.3 m/s and 2 rad/s.
+    """Return a drive model of a robot of about 0.3 m/s and 2 rad/s; that of an odd seed drifts.
 
     If not ``curved``, a single number says how much speeds fall short of proportional ones.
     """
@@ -57,6 +57,7 @@ def drive_model(seed=0, actuators=2, curved=True, **parts):
         "curve": 0.1 * sampled["curve"] if curved else straight,
         "delay": 0.05 + 0.04 * sampled["delay"],
         "kinematics": torch.tensor([0.15, 0.05, 1.0]) * sampled["kinematics"],
+        "drift": torch.tensor([0.3 * (seed % 2)], dtype=torch.float64),
         "modes": torch.eye(actuators) + 0.3 * torch.tanh(normal(seed + 8, *shapes["modes"])),
     }
     return DriveModel(**(result | parts))

@@ -283,7 +283,7 @@ def test_laws_that_are_left_out_do_not_come_back_in_members():
     data = drive_data(60, lag=(0.3, 0.3))
     columns, longest = CommandFeatures.of(NAMES), float(data.input_scale[4])
     motion = Motion(data.scaled_inputs, data.y, data.follows, columns, longest, data.within)
-    fit = fit_drive(motion, laws=False)
+    fit = fit_drive(motion, without=("laws",))
     (again,) = fit_again(fit, torch.linspace(0.5, 1.5, 60, dtype=torch.float64)[None])
     assert torch.equal(again.drive.lag, fit.drive.lag)
     assert not torch.equal(again.drive.kinematics, fit.drive.kinematics)

@@ -83,15 +83,15 @@ def test_distances_are_those_of_the_drive_model(motion):
         fit = Fit(drive, motion, bands[p], laws[p], True, actuators)
         x = motion.inputs(fit)
         under = rows_underway(drive, motion.columns, x)
-        expected = drive.pieces(under, x[:, 2:4], x[:, 4] * 2.0)
+        expected = [one.features for one in drive.pieces(under, x[:, 2:4], x[:, 4] * 2.0)]
         # The piece after the speeds have settled, those in which they change, and all.
         assert pytest.approx(expected[-1], abs=1e-9) == pieces[p, -1].T
         assert pytest.approx(expected[-1 - PHASES], abs=1e-9) == pieces[p, PHASES].T
         assert pytest.approx(sum(expected), abs=1e-9) == pieces[p].sum(0).T
         row = motion.within.row
-        until = drive.pieces(
-            type(under)(*(part[row] for part in under)), x[row, 2:4], motion.within.time
-        )
+        under = type(under)(*(part[row] for part in under))
+        pieces_of = drive.pieces(under, x[row, 2:4], motion.within.time)
+        until = [one.features for one in pieces_of]
         assert pytest.approx(sum(until), abs=1e-9) == within[p].sum(0).T
         assert pytest.approx(until[-1], abs=1e-9) == within[p, -1].T
 
@@ -168,7 +168,7 @@ def test_a_body_slower_forward_than_in_a_turn_has_laws_of_its_own():
     assert drive.modes.flatten().tolist() == pytest.approx([0.5, 0.5, -0.5, 0.5], abs=0.03)
     assert drive.lag.tolist() == pytest.approx([2.5, 0.5], rel=0.1)
     # Without them the turn determines both lags.
-    alone = fit_drive(rows, body=False).drive
+    alone = fit_drive(rows, without=("modes",)).drive
     assert torch.equal(alone.modes, torch.eye(2, dtype=torch.float64))
     assert alone.lag.tolist() == pytest.approx([0.5, 0.5], abs=0.1)
 
@@ -210,7 +210,7 @@ def test_a_car_of_few_rows_turns_less_when_it_is_slower(car):
     slow = torch.tensor([0.5, 1.0, 0.25, 0.5, 1.0], dtype=torch.float64)
     expected = float((slow @ kinematics)[2])
     assert float((slow @ fit.drive.kinematics)[2]) == pytest.approx(expected, rel=0.15)
-    usual = fit_drive(rows, car=False)
+    usual = fit_drive(rows, without=("car",))
     assert not usual.rows.steered
     if car:
         assert float((slow @ usual.drive.kinematics)[2]) > 1.5 * expected

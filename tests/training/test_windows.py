@@ -56,9 +56,16 @@ def chains(rng, rows=60, breaks=(0, 25)):
     return Chains.of(x, y, joined, CommandFeatures.of(NAMES), 3.0), x
 
 
-def test_rows_are_driven_as_the_drive_model_is_stepped():
+@pytest.mark.parametrize("drift", [0.0, 0.7])
+def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
     rows, x = chains(np.random.default_rng(0))
-    model = drive_model()
+    kinematics = drive_model().kinematics.clone()
+    kinematics[3, 1] = -0.3
+    late = torch.tensor([drift], dtype=torch.float64)
+    model, rows = (
+        replace(drive_model(), kinematics=kinematics, drift=late),
+        replace(rows, drift=drift),
+    )
     actuators = actuators_of(model)
     none = torch.zeros(2, dtype=torch.float64)
     inputs, under = rows.inputs(Fit(model, rows, none, none, True, actuators), x)
@@ -72,16 +79,17 @@ def test_rows_are_driven_as_the_drive_model_is_stepped():
             state = model.begun(before, before)
             # As many commands may be pending as in a simulator.
             missing = model.slots - state.goals.shape[1]
-            state = Underway(
-                *state[:2],
-                torch.cat([state.goals[:, :1].repeat(1, missing, 1), state.goals], 1),
-                torch.zeros(1, model.slots, dtype=torch.float64),
+            state = state._replace(
+                goals=torch.cat([state.goals[:, :1].repeat(1, missing, 1), state.goals], 1),
+                acts=torch.zeros(1, model.slots, dtype=torch.float64),
             )
         assert states[i] == pytest.approx(torch.cat([state.speed, state.push], 1)[0], abs=1e-9)
-        pieces = model.pieces(state, goal, time)
+        pieces = [piece.features for piece in model.pieces(state, goal, time)]
         # The distance does not depend on how the command is cut.
         assert features[row == i].sum(0)[:2] == pytest.approx(sum(pieces)[0, :2], abs=1e-9)
         assert lasts[row == i].sum() == pytest.approx(float(time))
+        # The drift does a little.
+        assert under.drift[i] == pytest.approx(state.drift[0], abs=0.01)
         # Neither do the pending commands.
         again = Underway(*(part[i : i + 1] for part in under))
         assert model.reached(again, goal, time)[0] == pytest.approx(
@@ -201,6 +209,39 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     # The errors of poses that it was not given add up.
     moved = predict(simulator, other)
     assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)
+
+
+def ship(seconds, lag, dt=0.05):
+    """Return the log of a ship that answers within seconds and drifts with this lag, s."""
+    rng, steps = np.random.default_rng(4), 25
+    count, h = round(seconds / dt), dt / steps
+    commands = rng.uniform((0.2, -1.0), (1.0, 1.0), (count, 2))
+    commands = np.repeat(commands, rng.integers(4, 16, count), axis=0)[:count]
+    speed, aside, pose, poses = np.zeros(2), 0.0, np.zeros(3), []
+    for command in commands:
+        poses.append(pose)
+        for _ in range(steps):
+            speed = speed + (command - speed) * h / np.array([1.5, 0.8])
+            steady = -0.5 * speed[0] * speed[1]
+            aside = steady if lag == 0.0 else aside + (steady - aside) * h / lag
+            twist = np.array([0.8 * speed[0], aside, 0.6 * speed[1]])
+            pose = se2.compose(pose, se2.exp(h * twist))
+    poses = np.array(poses) + rng.normal(0, (0.002, 0.002, 0.002), (count, 3))
+    seen = np.ones(count, bool)
+    return Log("ship", dt * np.arange(count), commands, seen, dt * np.arange(count), poses)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag", [0.0, 1.2])
+def test_a_ships_drift_is_learned(lag):
+    data = dataset_of(ship(90.0, lag))
+    simulator = learn(training_data(data), 0, members=1, noise=False)
+    assert float(simulator.drive.drift) == pytest.approx(lag, rel=0.25)
+    assert ("drift" in simulator.state_names) == (lag > 0.0)
+    if lag:
+        plain = learn(training_data(data), 0, members=1, noise=False, without=("drift",))
+        off, more = (compare(one, data, data).errors() for one in (simulator, plain))
+        assert off["dy"]["mean_absolute_error"] < 0.7 * more["dy"]["mean_absolute_error"]
 
 
 @pytest.mark.slow

@@ -21,6 +21,8 @@ make a body twist, linearly: a differential drive, an omnidirectional base and a
 steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
+A ship that turns drifts outwards, but not at once (Fossen 2011, section 6.5): its sideways speed
+approaches that of the twist with a lag of its own, from piece to piece.
 
 So the actuators' state at the beginning of a command (:class:`Underway`) has all effects of the
 earlier commands, and speeds and distances at any instant follow in closed form. The pose follows
@@ -97,12 +99,34 @@ class Underway(NamedTuple):
         goals: of the earlier commands, the oldest first, [B, N, C].
         acts: times at which these begin to act, [B, N] s since the command began. Those at 0 or
             below act already; the actuators follow the last of them.
+        drift: sideways speed, [B, 1] m/s; [B, 0] if it has no lag of its own.
     """
 
     speed: Tensor
     push: Tensor
     goals: Tensor
     acts: Tensor
+    drift: Tensor
+
+
+class Piece(NamedTuple):
+    """A piece of constant twist.
+
+    Attributes:
+        features: in which the twist is linear, see :func:`motion_features`, [B, K].
+        lasts: its duration, [B] s.
+    """
+
+    features: Tensor
+    lasts: Tensor
+
+
+class Reached(NamedTuple):
+    """The state of the actuators at the end of a command: parts of :class:`Underway`."""
+
+    speed: Tensor
+    push: Tensor
+    drift: Tensor
 
 
 @dataclass(frozen=True)
@@ -126,6 +150,7 @@ class DriveModel:
         modes: goals of the laws by goals of the actuators, [C, C]; by default the laws are those of
             the actuators.
         drag: quadratic drag, as a fraction of linear drag at full speed, [C]; zeros by default.
+        drift: time constant of the sideways motion, [1] s; 0, the default: it has no lag.
         slots: largest number of pending or acting commands when another one begins.
     """
 
@@ -141,13 +166,15 @@ class DriveModel:
     losses: Tensor = None  # type: ignore[assignment]
     modes: Tensor = None  # type: ignore[assignment]
     drag: Tensor = None  # type: ignore[assignment]
+    drift: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
+    drifts: bool = field(init=False, default=False)
     _drags: bool = field(init=False, default=False)
 
     #: Laws of each actuator, and all tensors of a drive model.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
     NAMES: ClassVar[tuple[str, ...]] = (
-        *(*LAWS, "curve", "delay", "kinematics", "turning", "losses", "modes", "drag"),
+        *(*LAWS, "curve", "delay", "kinematics", "turning", "losses", "modes", "drag", "drift"),
     )
 
     def __post_init__(self) -> None:
@@ -164,11 +191,13 @@ class DriveModel:
                 )
             object.__setattr__(self, name, value.detach().double())
         above = torch.cat([self.lag, self.slowing, self.braking, self.rate])
-        if (above <= 0).any() or (torch.cat([self.stick, self.delay, self.drag]) < 0).any():
+        others = torch.cat([self.stick, self.delay, self.drag, self.drift])
+        if (above <= 0).any() or (others < 0).any():
             raise ValueError(
-                "lag, slowing, braking and rate must be above 0, stick, delay and drag not below"
+                "lag, slowing, braking and rate must be above 0, the other times and drag not below"
             )
         object.__setattr__(self, "_drags", bool((self.drag > 0.0).any()))
+        object.__setattr__(self, "drifts", float(self.drift) > 0.0)
         slots = math.ceil(float(self.delay) / SHORTEST_COMMAND - 1e-6)
         object.__setattr__(self, "slots", max(slots, int(float(self.delay) > 0.0)))
 
@@ -178,7 +207,7 @@ class DriveModel:
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
         rest |= {"turning": (count,), "losses": (count, 3), "modes": (count, count)}
-        return {**each, **rest, "drag": (count,)}
+        return {**each, **rest, "drag": (count,), "drift": (1,)}
 
     @property
     def twists(self) -> Tensor:
@@ -205,7 +234,9 @@ class DriveModel:
         waits = int(self.slots > 0)
         goals = (speed if goal is None else goal).unsqueeze(1)[:, :waits]
         acts = speed.new_zeros(len(speed), waits)
-        return Underway(speed, torch.zeros_like(speed), goals, acts)
+        steady = motion_features(speed, torch.ones_like(speed[:, 0]), self.turning)
+        drift = (steady @ self.twists)[:, 1:2] if self.drifts else speed.new_zeros(len(speed), 0)
+        return Underway(speed, torch.zeros_like(speed), goals, acts, drift)
 
     def approach(
         self, before: Tensor, goal: Tensor, time: Tensor, push: Tensor | None = None
@@ -307,13 +338,14 @@ class DriveModel:
         left = torch.where(after, left, size - self.rate * on_ramp)
         return left, ramped + torch.where(after, lag * fell, 0.0)
 
-    def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return speeds and push [B, C] after a command of ``time`` s with goals [B, C]."""
+    def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> Reached:
+        """Return the actuators' state after a command of ``time`` s with goals [B, C]."""
         speed, push = under.speed, under.push
         for goal, span in self._turns(under, commanded, time):
             approach = self.approach(speed, goal, span, push)
             speed, push = self._come(speed, goal, span, push, approach)
-        return speed, push
+        drift = self._twists(under, commanded, time)[1] if self.drifts else under.drift
+        return Reached(speed, push, drift)
 
     def _turns(
         self, under: Underway, commanded: Tensor, time: Tensor
@@ -339,9 +371,7 @@ class DriveModel:
         speed = torch.where(speed.abs() < rounding.clamp(min=STILL), 0.0, speed)
         return torch.where(acts, speed, before), torch.where(acts, approach.push, push)
 
-    def after(
-        self, under: Underway, commanded: Tensor, time: Tensor, reached: tuple[Tensor, Tensor]
-    ) -> Underway:
+    def after(self, under: Underway, commanded: Tensor, time: Tensor, reached: Reached) -> Underway:
         """Return the state at the end of a command.
 
         Args:
@@ -350,8 +380,9 @@ class DriveModel:
             time: its duration, [B] s.
             reached: result of :meth:`reached`.
         """
+        speed, push, drift = reached
         if not self.slots:
-            return Underway(*reached, under.goals, under.acts)
+            return Underway(speed, push, under.goals, under.acts, drift)
         delay = self.delay.to(time).expand_as(time)
         acts = torch.cat([under.acts, delay.unsqueeze(1)], 1) - time.unsqueeze(1)
         goals = torch.cat([under.goals, commanded.unsqueeze(1)], 1)
@@ -365,15 +396,16 @@ class DriveModel:
         mean = fraction * goals[:, -2] + (1.0 - fraction) * commanded
         joined = torch.cat([goals[:, :-2], mean.unsqueeze(1)], 1)
         goals = torch.where(join.unsqueeze(2), joined, goals[:, 1:])
-        return Underway(*reached, goals, torch.where(join, acts[:, :-1], acts[:, 1:]))
+        acts = torch.where(join, acts[:, :-1], acts[:, 1:])
+        return Underway(speed, push, goals, acts, drift)
 
-    def pieces(self, under: Underway, commanded: Tensor, time: Tensor) -> list[Tensor]:
-        """Return the features of each piece of constant twist, tensors [B, K].
+    def pieces(self, under: Underway, commanded: Tensor, time: Tensor) -> list[Piece]:
+        """Return the pieces of constant twist of a command.
 
         The last piece is after the speeds have settled; before it there are :data:`PHASES` for each
         acting command.
         """
-        pieces = []
+        pieces: list[Piece] = []
         speed, push = under.speed, under.push
         *waiting, (_, own) = self._turns(under, commanded, time)
         for goal, span in waiting:
@@ -395,8 +427,8 @@ class DriveModel:
         instants: Sequence[Tensor],
         time: Tensor,
         end: Approach,
-    ) -> list[Tensor]:
-        """Return the features of the twists from one instant [B] to the next, [B, K] each.
+    ) -> list[Piece]:
+        """Return the pieces from one instant [B] to the next.
 
         The last instant is ``time`` [B], whose approach is ``end``.
         """
@@ -405,7 +437,8 @@ class DriveModel:
         missed = [self.approach(speed, goal, one, push).missed for one in instants]
         for until, lost in zip((*instants, time), (*missed, end.missed), strict=True):
             distances = goal * until.unsqueeze(-1) - lost
-            pieces.append(motion_features(distances - before, until - began, self.turning))
+            lasts = until - began
+            pieces.append(Piece(motion_features(distances - before, lasts, self.turning), lasts))
             before, began = distances, until
         return pieces
 
@@ -419,12 +452,27 @@ class DriveModel:
             commanded: goals of the command, [B, C].
             time: since the beginning, [B] s.
         """
-        *changing, steady = self.pieces(under, commanded, time)
-        twists = self.twists
-        moved = se2.exp(changing[0] @ twists)
-        for piece in changing[1:]:
-            moved = se2.compose(moved, se2.exp(piece @ twists))
-        return moved, steady @ twists
+        *changing, steady = self._twists(under, commanded, time)[0]
+        moved = se2.exp(changing[0])
+        for twist in changing[1:]:
+            moved = se2.compose(moved, se2.exp(twist))
+        return moved, steady
+
+    def _twists(
+        self, under: Underway, commanded: Tensor, time: Tensor
+    ) -> tuple[list[Tensor], Tensor]:
+        """Return the twists [B, 3] of a command's pieces, each of its time, and the last drift."""
+        twists, drift = [], under.drift
+        for features, lasts in self.pieces(under, commanded, time):
+            twist = features @ self.twists
+            if self.drifts:
+                lasts = lasts.unsqueeze(1)
+                aside, steady = twist[:, 1:2], twist[:, 1:2] / lasts.clamp(min=1e-9)
+                then = steady + (drift - steady) * torch.exp(-lasts / self.drift)
+                aside = aside - self.drift * (then - drift)
+                twist, drift = torch.cat([twist[:, :1], aside, twist[:, 2:]], 1), then
+            twists.append(twist)
+        return twists, drift
 
 
 def curvature(command: Tensor) -> Tensor:

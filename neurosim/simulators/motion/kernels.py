@@ -80,7 +80,7 @@ class MotionModel(NamedTuple):
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
-    drives: bool  #: whether there is a drive model; if not, the next fifteen hold anything
+    drives: bool  #: whether there is a drive model; if not, the next sixteen hold anything
     slots: int  #: as in DriveModel
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray
@@ -94,6 +94,7 @@ class MotionModel(NamedTuple):
     losses: np.ndarray  #: [C, 3]
     modes: np.ndarray  #: [C, C]
     drag: np.ndarray  #: [C]
+    drift: np.ndarray  #: [1]
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -118,15 +119,15 @@ class MotionModel(NamedTuple):
 def scratch(a):
     """Return the work arrays of :func:`step` and :func:`sense`, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
-    under = (2 + a.slots) * actuators + a.slots
-    size = 2 * inputs + (_LAW + 6) * actuators + 1 + under + len(a.exponents[0]) + len(a.centres[0])
+    under = (2 + a.slots) * actuators + a.slots + (a.drift[0] > 0.0)
+    size = 2 * inputs + (_LAW + 6) * actuators + 2 + under + len(a.exponents[0]) + len(a.centres[0])
     numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
     log2 = numbers[inputs:end]
     law = numbers[end : end + _LAW * actuators].reshape(actuators, _LAW)
     end += _LAW * actuators
-    memory = numbers[end : end + 3 * actuators + 1]
-    end += 3 * actuators + 1
+    memory = numbers[end : end + 3 * actuators + 2]
+    end += 3 * actuators + 2
     began = numbers[end : end + under]
     end += under
     distance = numbers[end : end + 3 * actuators].reshape(3, actuators)
@@ -166,7 +167,8 @@ def step(a, states, command, z, work):
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
     behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
-    excess, time = start + len(began), command[a.source[a.duration]] if a.drives else 0.0
+    drifts = a.drives and a.drift[0] > 0.0
+    excess, time = start + len(began) + drifts, command[a.source[a.duration]] if a.drives else 0.0
     for r in range(len(states)):
         own = states[r]
         m = int(own[-1]) + 1 if a.members else 0
@@ -194,6 +196,8 @@ def step(a, states, command, z, work):
             if not same:
                 for i in range(len(began)):
                     own[start + i] = began[i]
+            if drifts:
+                own[start + len(began)] = memory[3 * count + 1]
             now_x, now_y, now = dx, dy, turn
             if same:
                 gone_x, gone_y, gone = own[behind], own[behind + 1], own[behind + 2]
@@ -384,10 +388,10 @@ def _inputs(a, state, command, memory, began, x):
         a: :class:`MotionModel`.
         state: [S] before the command.
         command: [C or more].
-        memory: [3 actuators + 1], written from the third part on: the speeds and pushes reached,
-            the command, and its duration so far (s).
+        memory: [3 actuators + 2], written from the third part on except the last: the speeds and
+            pushes reached, the command, its duration so far (s), and the drift reached.
         began: [(2 + slots) actuators + slots], written: speeds and pushes at its beginning, times
-            (s) at which the commands pending then act, and their goals.
+            (s) at which the commands pending then act, and their goals; and the drift, if any.
         x: [I], written except derived inputs.
 
     Returns:
@@ -410,6 +414,8 @@ def _inputs(a, state, command, memory, began, x):
     if not same:
         for i in range(2 * count):
             began[i] = state[3 + i]
+        if a.drift[0] > 0.0:
+            began[-1] = state[start + len(began)]
         if slots > 0 and lasted > 0.0:
             _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])
     for c in range(count):
@@ -484,7 +490,7 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         began: of :func:`_inputs`.
         law: [C, _LAW] scratch.
         distance: [3, C] scratch.
-        memory: [2 C or more], written: speeds and pushes at the end.
+        memory: [3 C + 2], written: speeds and pushes at the end, and the drift.
         twist: [3], written: of the piece after the speeds have settled.
         moved: [3], written: while they change.
     """
@@ -492,7 +498,7 @@ def phases(a, x, began, law, distance, memory, twist, moved):
     for i in range(2 * count):
         memory[i] = began[i]
     twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
-    px, py, theta, begin = 0.0, 0.0, 0.0, 0.0
+    px, py, theta, begin, drift = 0.0, 0.0, 0.0, 0.0, began[-1]
     for n in range(slots + 1):
         own, until = n == slots, time
         if not own:
@@ -513,12 +519,32 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         for k in range(pieces):
             last, end = end, changing * (k + 1) / pieces
             vx, vy, turn = _twist(a, law, last, end, distance)
+            vy, drift = drifted(a.drift[0], drift, vy, end - last)
             px, py, theta = se2.compose_exp(px, py, theta, vx, vy, turn)
         if end < span:
             twist[0], twist[1], twist[2] = _twist(a, law, end, span, distance)
+            twist[1], drift = drifted(a.drift[0], drift, twist[1], span - end)
         for c in range(count):
             memory[c], memory[count + c] = _come(law[c], span, distance[2, c])
     moved[0], moved[1], moved[2] = px, py, theta
+    memory[3 * count + 1] = drift
+
+
+@kernel(forceinline=True)
+def drifted(lag, drift, aside, time):
+    """Return sideways motion with its own lag, if any, and the sideways speed then.
+
+    Args:
+        lag: s; 0: none.
+        drift: sideways speed at the beginning, m/s.
+        aside: motion without the lag, m.
+        time: its duration, s.
+    """
+    if lag <= 0.0:
+        return aside, drift
+    steady = aside / max(time, 1e-9)
+    then = steady + (drift - steady) * math.exp(-time / lag)
+    return aside - lag * (then - drift), then
 
 
 @kernel(forceinline=True)

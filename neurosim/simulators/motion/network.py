@@ -33,7 +33,7 @@ from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
-from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.drive import DriveModel, Reached, Underway
 from neurosim.simulators.motion.excess import NAMES as EXCESS
 from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.floor import Floor, even
@@ -77,14 +77,17 @@ class _State(NamedTuple):
     began_push: Tensor
     acts: Tensor
     goals: Tensor
+    began_drift: Tensor
+    drift: Tensor
     excess: Tensor
     member: Tensor
 
 
 def _flat(under: Underway) -> dict[str, Tensor]:
     """Return the actuators' state at the beginning of a command, as parts of a state."""
-    names = ("began_speed", "began_push", "goals", "acts")
-    return dict(zip(names, (*under[:2], under.goals.flatten(1), under.acts), strict=True))
+    names = ("began_speed", "began_push", "goals", "acts", "began_drift")
+    flat = under._replace(goals=under.goals.flatten(1))
+    return dict(zip(names, flat, strict=True))
 
 
 class MotionNetwork(Simulator):
@@ -225,6 +228,7 @@ class MotionNetwork(Simulator):
                 *(f"began_push_{name}" for name in driven),
                 *(f"waiting_{n}_acts" for n in range(drive.slots)),
                 *(f"waiting_{n}_{name}" for n in range(drive.slots) for name in driven),
+                *(("began_drift", "drift") if drive.drifts else ()),
                 *(() if excess is None else EXCESS),
             )
         if self.members > 1:
@@ -402,7 +406,7 @@ class MotionNetwork(Simulator):
         longer step, from its present one, and the noise is that of the command's beginning. So the
         result does not depend on how a command is cut into steps.
         """
-        drive = self.drive
+        drive = self._corrected
         assert drive is not None
         parts = self._parts(state)
         driven = command[:, self._commanded]
@@ -428,8 +432,8 @@ class MotionNetwork(Simulator):
             more, left = self.excess.faded(parts.excess, step)
             since, parts = added(since, more), parts._replace(excess=left)
         pose = se2.compose(parts.pose, since)
-        speed, push = drive.reached(under, goals, elapsed.squeeze(1))
-        now = parts._replace(pose=pose, speed=speed, push=push, commanded=driven, elapsed=elapsed)
+        reached = drive.reached(under, goals, elapsed.squeeze(1))._asdict()
+        now = parts._replace(pose=pose, commanded=driven, elapsed=elapsed, **reached)
         return torch.cat(now._replace(displaced=moved, noise=noise, **began), dim=1)
 
     def _parts(self, state: Tensor) -> _State:
@@ -437,6 +441,7 @@ class MotionNetwork(Simulator):
         assert self.drive is not None
         count, slots = len(self.columns.driven), self.drive.slots
         sizes = [3, *[count] * 3, 1, 3, DRAWS, *[count] * 2, slots, slots * count]
+        sizes += [int(self.drive.drifts)] * 2
         sizes += [0 if self.excess is None else len(EXCESS), int(self.members > 1)]
         return _State(*state.split(sizes, dim=1))
 
@@ -463,17 +468,20 @@ class MotionNetwork(Simulator):
     def _underway(self, parts: _State) -> Underway:
         """Return the actuators' state at the beginning of the last command."""
         goals = parts.goals.unflatten(1, (parts.acts.shape[1], len(self.columns.driven)))
-        return Underway(parts.began_speed, parts.began_push, goals, parts.acts)
+        began = parts.began_speed, parts.began_push
+        return Underway(*began, goals, parts.acts, parts.began_drift)
 
     def _after(self, drive: DriveModel, parts: _State) -> Underway:
         """Return the actuators' state at the end of the last command; 0 for a robot that stands."""
         under, time = self._underway(parts), parts.elapsed.squeeze(1)
-        after = drive.after(under, self._speeds(parts.commanded), time, (parts.speed, parts.push))
+        reached = Reached(parts.speed, parts.push, parts.drift)
+        after = drive.after(under, self._speeds(parts.commanded), time, reached)
         # After the end of a command nothing is added.
-        over = time <= 0.0
-        pairs = zip(after[2:], under[2:], strict=True)
-        kept = (torch.where(over.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in pairs)
-        return Underway(parts.speed, parts.push, *kept)
+        over = (time <= 0.0).unsqueeze(1)
+        return after._replace(
+            goals=torch.where(over.unsqueeze(2), under.goals, after.goals),
+            acts=torch.where(over, under.acts, after.acts),
+        )
 
     def _speeds(self, driven: Tensor) -> Tensor:
         """Return the final speeds [B, C] of driven inputs [B, C], in the dataset's units."""
@@ -800,7 +808,7 @@ def chain(
         else 0
     )
     for _ in range(links):
-        reached = drive.reached(drive.begun(speed, before), commanded, time)[0]
+        reached = drive.reached(drive.begun(speed, before), commanded, time).speed
         speed = torch.where(follows[1:, None], reached[:-1], before[1:])
         speed = torch.cat([before[:1], speed])
     x = torch.cat([x, before], 1)

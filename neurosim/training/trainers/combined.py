@@ -51,7 +51,7 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, runs_of
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
-    *("laws", "modes", "car", "straight", "dead_band", "swing", "process", "row_weights"),
+    *("laws", "modes", "car", "straight", "drift", "dead_band", "swing", "process", "row_weights"),
     *("drive_members", "floor", "spread", "excess"),
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
@@ -126,12 +126,13 @@ class CombinedSettings(Checked):
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``modes`` (these laws for a body that is slower
             than its actuators), ``car`` (a robot that turns only while it drives), ``straight``
-            (speeds proportional to commands), ``dead_band``, ``swing`` (how a caster turns when the
-            direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows with
-            larger errors count less), ``drive_members`` (a drive model for each member), ``floor``
-            (a map of the slip over the board), ``spread`` (the size of noise and of members'
-            differences by runs of commands or windows of a log), ``excess`` (how long a speed that
-            is measured lasts; learned with ``spread``).
+            (speeds proportional to commands), ``drift`` (a lag of sideways motion, as of ships),
+            ``dead_band``, ``swing`` (how a caster turns when the direction changes), ``process``
+            (the Gaussian process), ``row_weights`` (rows with larger errors count less),
+            ``drive_members`` (a drive model for each member), ``floor`` (a map of the slip over the
+            board), ``spread`` (the size of noise and of members' differences by runs of commands or
+            windows of a log), ``excess`` (how long a speed that is measured lasts; learned with
+            ``spread``).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -269,15 +270,13 @@ class CombinedTrainer:
         within = None if settings.whole_commands else data.within
         self._windows: Windows | None = None
         self._motion: Motion | Chains
-        laws = "laws" not in settings.without
         if data.joined is None:
             self._motion = Motion(x, y, data.follows, self._columns, self._longest, within)
         else:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
-        may_be = (name not in settings.without for name in ("modes", "car", "straight"))
-        return self._leave(fit_drive(self._motion, laws, band, *may_be))
+        return self._leave(fit_drive(self._motion, band, settings.without))
 
     def _leave(self, fit: Fit) -> Tensor:
         """Store a drive model's residuals; return mean squared errors, [3]."""
@@ -360,7 +359,7 @@ class CombinedTrainer:
         """Return the commands of rows [K], and the speeds reached at a time (s) in them."""
         under = rows_underway(drive, self._columns, x[row])
         commanded = x[row][:, list(self._columns.driven)]
-        return commanded, drive.reached(under, commanded, time)[0]
+        return commanded, drive.reached(under, commanded, time).speed
 
     def _part_inputs(self, drive: DriveModel, x: Tensor) -> Tensor:
         """Return the inputs of parts of commands, from a drive model's of the whole rows."""
@@ -518,9 +517,11 @@ class CombinedTrainer:
             fits = fit_again(self._fit, seen)
         else:
             each = map(self._motion.weighted, seen)
-            laws, own = self._fit.searched, self._fit.rows
-            chosen = own.modes is not None, own.steered
-            fits = [fit_drive(rows, laws, self._band, *chosen) for rows in each]
+            own, without = self._fit.rows, set(self._settings.without)
+            chosen = {"modes": own.modes is not None, "car": own.steered, "straight": own.straight}
+            chosen["drift"] = own.drift > 0.0
+            without |= {name for name, there in chosen.items() if not there}
+            fits = [fit_drive(rows, self._band, without) for rows in each]
         means = []
         for fit in fits:
             x, under = self._inputs(fit)

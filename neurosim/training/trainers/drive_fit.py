@@ -15,7 +15,7 @@ are computed by the compiled functions of simulators.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar, NamedTuple, Protocol
@@ -63,9 +63,9 @@ _TOGETHER = 32
 _BELIEVED = 3.0
 #: Factor of the gain for accepting losses in curves over that for a delay.
 _LOST = 1.5
-#: Gain in log-likelihood for laws of the body's modes. Modes are not tried if each is one actuator,
-#: to this fraction, or if their condition number is larger; sideways motion is one if an actuator
-#: moves the robot so far aside, as a fraction of forward.
+#: Gain in log-likelihood for laws of the body's modes, and for a lag of sideways motion. Modes are
+#: not tried if each is one actuator, to this fraction, or if their condition number is larger;
+#: sideways motion is one if an actuator moves the robot so far aside, as a fraction of forward.
 _INERT, _ALIKE, _WORST, _ASIDE = 10.0, 0.9, 5.0, 0.2
 #: Gain in log-likelihood for the prior of a car.
 _STEERED = 1.0
@@ -95,6 +95,8 @@ _LOWEST = (
 )
 _FASTEST = math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0)
 _HIGHEST = (*_FASTEST, 0.2, *[5.0] * CURVES, 0.5, 10.0)
+#: Lags of sideways motion that are tried, s.
+_DRIFTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.1, 1.6, 2.3, 3.2)
 #: First quadratic drag of a search, and the shortest lag (s) of a law that may have it.
 _FIRST_DRAG, _SLUGGISH = 0.5, 0.3
 #: Smallest number of rows for quadratic drag, for learning how the size of errors depends on the
@@ -307,8 +309,10 @@ class Motion:
     straight: bool = False
     precision: Tensor | None = None
 
-    #: A delay is nearly a lag where only the ends of commands are known.
+    #: A delay is nearly a lag where only the ends of commands are known, and a drift a sideways
+    #: motion.
     belief: ClassVar[float] = 10.0
+    drift: ClassVar[float] = 0.0
 
     def some(self, most: int) -> Motion:
         """Return stretches of the rows, ``most`` at most, and of the poses within them as many."""
@@ -398,6 +402,7 @@ class Rows(Protocol):
         modes: of the drive models that are fitted, [C, C].
         steered: whether the prior is that of a car.
         straight: whether the prior holds static curves nearly straight.
+        drift: lag of sideways motion of the drive models that are fitted, s.
         belief: gain in log-likelihood for accepting a delay.
     """
 
@@ -417,6 +422,9 @@ class Rows(Protocol):
 
     @property
     def straight(self) -> bool: ...
+
+    @property
+    def drift(self) -> float: ...
 
     def some(self, most: int) -> Rows:
         """Return stretches of the rows, about ``most`` rows or fewer."""
@@ -462,7 +470,9 @@ class Fit(NamedTuple):
         *parts, drag = (torch.from_numpy(part) for part in actuators.one(0)[3:])
         kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
         losses = None if rows.turning is None else twists[kinematics:]
-        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses, rows.modes, drag)
+        drift = torch.tensor([rows.drift])
+        twisted = (twists[:kinematics], rows.turning, losses, rows.modes, drag, drift)
+        drive = DriveModel(*parts, *twisted)
         return cls(drive, rows, band, laws, searched, actuators)
 
 
@@ -471,28 +481,22 @@ def searched_terms(rows: Rows) -> int:
     return (features_of if rows.turning is None else terms_of)(len(rows.columns.driven))
 
 
-def fit_drive(
-    rows: Rows,
-    laws: bool = True,
-    band: Tensor | None = None,
-    body: bool = True,
-    car: bool = True,
-    straight: bool = True,
-) -> Fit:
+def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] = ()) -> Fit:
     """Return the drive model of rows.
 
     A command of full speed leaves larger errors than a slow one, and counts less.
 
     Args:
         rows: the rows.
-        laws: whether to search the actuators' laws; if not, speeds are reached at once.
         band: dead bands, scaled, [C]; found from the rows if not given.
-        body: whether the laws may be those of the body's modes, if these fit the rows better.
-        car: whether the prior may be that of a car, if it fits the rows better.
-        straight: whether static curves may be held nearly straight, if that fits the rows better.
+        without: what is left out, though it might fit the rows better: the actuators' ``laws``
+            (speeds are reached at once), laws of the body's ``modes``, the prior of a ``car``, that
+            of nearly ``straight`` static curves, and a ``drift``, a lag of sideways motion.
     """
-    fit = _fit_evenly(rows, laws, band, body, car, straight)
-    if not (laws and isinstance(fit.rows, Motion) and len(fit.rows.x) >= _SIZED):
+    fit = _fit_evenly(rows, band, without)
+    if not isinstance(fit.rows, Motion):
+        return _drifting(fit) if fit.searched and "drift" not in without else fit
+    if not fit.searched or len(fit.rows.x) < _SIZED:
         return fit
     turns, shifts = (one.error[0] for one in fit.rows.fitted(fit.actuators)[1][:2])
     left = torch.stack([turns, shifts.unflatten(0, (2, -1)).norm(dim=0)])
@@ -502,13 +506,25 @@ def fit_drive(
     return Fit.of(sized, fit.band, best, True)
 
 
-def _fit_evenly(
-    rows: Rows, laws: bool, band: Tensor | None, body: bool, car: bool, straight: bool
-) -> Fit:
+def _drifting(fit: Fit) -> Fit:
+    """Return the fit with the lag of sideways motion that fits the rows best, if one does."""
+    searched = fit.rows.some(_ROWS)
+
+    def cost(drift: float) -> float:
+        return float(_costs(replace(searched, drift=drift), fit.laws[None], fit.band))
+
+    best = min(_DRIFTS, key=cost)
+    if cost(0.0) - cost(best) < _INERT:
+        return fit
+    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
+    return Fit.of(replace(fit.rows, drift=best), fit.band, fit.laws, True)
+
+
+def _fit_evenly(rows: Rows, band: Tensor | None, without: Collection[str]) -> Fit:
     """Return the drive model of rows whose errors all have one size; see :func:`fit_drive`."""
     count = len(rows.columns.driven)
     searched = rows.some(_ROWS)
-    if not laws:
+    if "laws" in without:
         at_once = _AT_ONCE.repeat(1, count)
         return Fit.of(
             rows, _dead_bands(searched, at_once) if band is None else band, at_once, False
@@ -516,15 +532,16 @@ def _fit_evenly(
     limits = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
     none = torch.zeros(count, dtype=torch.float64)
     roughly = _roughly(searched, *limits)
-    if car and count > 1:
+    if "car" not in without and count > 1:
         cars = replace(searched, steered=True)
         costs = [_costs(each, roughly[None], none) for each in (searched, cars)]
         if costs[0] - costs[1] > _STEERED:
             rows, searched = replace(rows, steered=True), cars
+    straight = "straight" not in without
     fit, cost = _fully(rows, roughly, band, *limits, straight)
     twists, _ = searched.fitted(Actuators.of(roughly[None], none))
     # Of a car, only the products tell the turn: there are no modes in its linear terms.
-    body = body and count > 1 and not rows.steered
+    body = "modes" not in without and count > 1 and not rows.steered
     modes = body_modes(twists[0, :count].T) if body else None
     if modes is None:
         return fit

@@ -18,7 +18,7 @@ from torch import Tensor
 from neurosim.base.compiled import njit
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import Underway
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, drifted, goal_of
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.trainers.drive_fit import (
@@ -205,6 +205,31 @@ def _driven(a, turning, modes, commanded, before, time, joined, features, lasts,
     return made
 
 
+@njit(error_model="numpy")
+def _late(features, lasts, row, joined, lag, late, states):
+    """Let the features of pieces follow with a lag, as sideways motion does.
+
+    It is linear in the twist's coefficients; so each feature can follow by itself.
+
+    Args:
+        features, lasts, row: of :func:`_driven`.
+        joined: whether a row begins at the end of the previous one.
+        lag: s.
+        late: [M, F], written.
+        states: [N, F], written: the rates of change of the features at a row's beginning, 1/s.
+    """
+    rate = np.zeros(features.shape[1])
+    last = -1
+    for k in range(len(features)):
+        for f in range(len(rate)):
+            if row[k] != last:
+                if not joined[row[k]]:
+                    rate[f] = features[k, f] / lasts[k]
+                states[row[k], f] = rate[f]
+            late[k, f], rate[f] = drifted(lag, rate[f], features[k, f], lasts[k])
+        last = row[k]
+
+
 @dataclass(frozen=True)
 class Chains:
     """Rows that follow one another, cut at known poses within them, and windows of these.
@@ -223,6 +248,7 @@ class Chains:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
+        drift: lag of sideways motion of the drive models that are fitted, s; 0: it has none.
     """
 
     commanded: Tensor
@@ -238,6 +264,7 @@ class Chains:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
+    drift: float = 0.0
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -338,6 +365,16 @@ class Chains:
         parts = (features[:made], lasts[:made], row[:made], states)
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
+    def late(self, features: Tensor, lasts: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the features of sideways motion [M, F], and the rates at rows' beginnings, [N, F].
+
+        The arguments are those of :meth:`driven`.
+        """
+        late, states = features.clone(), torch.zeros(len(self.time), features.shape[1]).double()
+        given = (part.numpy() for part in (features, lasts, row, self.joined))
+        _late(*given, self.drift, late.numpy(), states.numpy())
+        return late, states
+
     def inputs(self, fit: Fit, x: Tensor) -> tuple[Tensor, Underway]:
         """Return networks' inputs of whole rows, like :func:`chain`, and the actuators' states.
 
@@ -346,8 +383,13 @@ class Chains:
             x: scaled inputs of the whole rows, as given.
         """
         drive = fit.drive
-        own = replace(self, modes=fit.rows.modes)
-        speed, push = own.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
+        own = replace(self, modes=fit.rows.modes, turning=fit.rows.turning, drift=fit.rows.drift)
+        *pieces, states = own.driven(fit.actuators.one(0))
+        speed, push = states[self.whole].chunk(2, 1)
+        drift = speed[:, :0]
+        if drive.drifts:
+            rates = own.late(*pieces)[1][self.whole]
+            drift = rates @ drive.twists[: rates.shape[1], 1:2]
         goals, before = (
             drive.shaped(outside(part, fit.band)) for part in (self.commanded, self.before)
         )
@@ -359,7 +401,7 @@ class Chains:
         inside, earlier = earlier >= first, torch.maximum(earlier, first)
         waiting = torch.where(inside.unsqueeze(2), goals[earlier], before[earlier])
         acts = begin[earlier] + drive.delay - begin[self.whole][:, None]
-        under = Underway(speed, push, waiting, torch.where(inside, acts, 0.0))
+        under = Underway(speed, push, waiting, torch.where(inside, acts, 0.0), drift)
         x = x.clone()
         x[:, list(self.columns.driven)] = goals[self.whole]
         x[:, list(self.columns.before)] = speed
@@ -405,17 +447,22 @@ class Chains:
         ended = turns.cumsum(0)
         middle = ended - turns / 2.0
         chord = se2.chord(turns)
-        x, y = (
-            (chord * middle.cos())[:, None] * features,
-            (chord * middle.sin())[:, None] * features,
-        )
-        x, y = until(by_row(x)), until(by_row(y))
         back = -(heading[first] + heading[end]) / 2.0
         moved = se2.rotate(back, path[end, :2] - path[first, :2])
-        x, y = x[end] - x[first], y[end] - y[first]
         cos, sin = back.cos()[:, None], back.sin()[:, None]
-        x, y = cos * x - sin * y, sin * x + cos * y
-        both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
+
+        def turned(features: Tensor) -> tuple[Tensor, Tensor]:
+            """Return windows' displacements by the features as forward motion, [W, F] each."""
+            parts = (chord * middle.cos())[:, None], (chord * middle.sin())[:, None]
+            x, y = (until(by_row(part * features)) for part in parts)
+            x, y = x[end] - x[first], y[end] - y[first]
+            return cos * x - sin * y, sin * x + cos * y
+
+        ahead, aside = turned(features)
+        both = torch.cat([ahead, aside])
+        if self.drift > 0.0:
+            ahead, aside = turned(self.late(features, lasts, row)[0])
+        both = torch.cat([both, torch.cat([-aside, ahead])], 1)
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
         speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift.repeat(2), twice)
