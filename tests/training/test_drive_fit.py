@@ -76,7 +76,7 @@ def test_distances_are_those_of_the_drive_model(motion):
     turning = torch.tensor([-0.4, 0.6], dtype=torch.float64)
     modes = torch.tensor([[0.6, 0.4], [-0.5, 0.5]], dtype=torch.float64)
     motion = replace(motion, turning=turning, modes=modes)
-    pieces, within = motion.distances(actuators)
+    pieces, within, *_ = motion.distances(actuators)
     for p in range(len(laws)):
         *each, drag = (torch.from_numpy(part) for part in actuators.one(p)[3:])
         drive = DriveModel(*each, torch.zeros(features_of(2), 3), turning, None, modes, drag)

@@ -211,12 +211,15 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)
 
 
-def ship(seconds, lag, dt=0.05):
-    """Return the log of a ship that answers within seconds and drifts with this lag, s."""
+def ship(seconds, lag, held, dt=0.05):
+    """Return the log of a ship that answers within seconds and drifts with this lag, s.
+
+    Its commands are held for some steps, from one to another number of them.
+    """
     rng, steps = np.random.default_rng(4), 25
     count, h = round(seconds / dt), dt / steps
     commands = rng.uniform((0.2, -1.0), (1.0, 1.0), (count, 2))
-    commands = np.repeat(commands, rng.integers(4, 16, count), axis=0)[:count]
+    commands = np.repeat(commands, rng.integers(*held, count), axis=0)[:count]
     speed, aside, pose, poses = np.zeros(2), 0.0, np.zeros(3), []
     for command in commands:
         poses.append(pose)
@@ -233,8 +236,10 @@ def ship(seconds, lag, dt=0.05):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.0, 1.2])
-def test_a_ships_drift_is_learned(lag):
-    data = dataset_of(ship(90.0, lag))
+@pytest.mark.parametrize(("seconds", "held"), [(90.0, (3, 15)), (300.0, (12, 60))])
+def test_a_ships_drift_is_learned(seconds, held, lag):
+    data = dataset_of(ship(seconds, lag, held))
+    assert data.meta["windows"] == (held[0] < 10)
     simulator = learn(training_data(data), 0, members=1, noise=False)
     assert float(simulator.drive.drift) == pytest.approx(lag, rel=0.25)
     assert ("drift" in simulator.state_names) == (lag > 0.0)

@@ -224,18 +224,22 @@ class DriveModel:
         root = (1.0 + 4.0 * self.drag * (1.0 + self.drag) * force.abs()).sqrt()
         return 2.0 * (1.0 + self.drag) * force / (1.0 + root)
 
-    def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
+    def begun(
+        self, speed: Tensor, goal: Tensor | None = None, drift: Tensor | None = None
+    ) -> Underway:
         """Return the state at ``speed`` [B, C] with a single command acting.
 
         Args:
             speed: of the actuators.
             goal: of the acting command, [B, C]; None: to continue at that speed.
+            drift: sideways speed as in :class:`Underway`; None: what it is at lasting speeds.
         """
         waits = int(self.slots > 0)
         goals = (speed if goal is None else goal).unsqueeze(1)[:, :waits]
         acts = speed.new_zeros(len(speed), waits)
-        steady = motion_features(speed, torch.ones_like(speed[:, 0]), self.turning)
-        drift = (steady @ self.twists)[:, 1:2] if self.drifts else speed.new_zeros(len(speed), 0)
+        if drift is None:
+            steady = motion_features(speed, torch.ones_like(speed[:, 0]), self.turning)
+            drift = (steady @ self.twists)[:, 1 : 1 + self.drifts]
         return Underway(speed, torch.zeros_like(speed), goals, acts, drift)
 
     def approach(

@@ -785,9 +785,9 @@ def chain(
 ) -> Tensor:
     """Return scaled inputs [B, I + C] in which commands begin with the reached speeds.
 
-    The last C columns are the goals of the previous commands, which act until the delay has passed.
+    The next C columns are the goals of the previous commands, which act until the delay has passed.
     Still earlier commands are assumed to have ended, because otherwise one would be shorter than
-    the delay.
+    the delay. Of a robot that drifts, the last column is the drift reached (m/s).
 
     Args:
         drive: the drive model.
@@ -798,20 +798,24 @@ def chain(
     """
     before, commanded = x[:, list(columns.before)], x[:, list(columns.driven)]
     time = x[:, columns.duration] * longest
-    speed = before
+    still = drive.begun(before, before)
+    speed, drift = still.speed, still.drift
     # A remaining difference decays within a few commands, or seconds.
     slowest = drive.lag * (drive.slowing * drive.braking.clamp(min=1.0)).clamp(min=1.0)
-    dies = _DIES + _LAGS * float(slowest.max())
+    dies = _DIES + _LAGS * max(float(slowest.max()), float(drive.drift))
     links = (
         max(_LINKS, min(math.ceil(dies / max(float(time.median()), 1e-3)), _MOST_LINKS))
         if len(x)
         else 0
     )
     for _ in range(links):
-        reached = drive.reached(drive.begun(speed, before), commanded, time).speed
-        speed = torch.where(follows[1:, None], reached[:-1], before[1:])
-        speed = torch.cat([before[:1], speed])
-    x = torch.cat([x, before], 1)
+        reached = drive.reached(drive.begun(speed, before, drift), commanded, time)
+        pairs = (reached.speed, still.speed), (reached.drift, still.drift)
+        speed, drift = (
+            torch.cat([rest[:1], torch.where(follows[1:, None], there[:-1], rest[1:])])
+            for there, rest in pairs
+        )
+    x = torch.cat([x, before, drift], 1)
     x[:, list(columns.before)] = speed
     return x
 
@@ -820,7 +824,9 @@ def rows_underway(drive: DriveModel, columns: CommandFeatures, x: Tensor) -> Und
     """Return the actuators' state at the beginning of scaled rows [B, I] or of :func:`chain`."""
     speed, count = x[:, list(columns.before)], len(columns.driven)
     inputs = max(*columns.driven, *columns.before, columns.duration) + 1
-    return drive.begun(speed, x[:, inputs:] if x.shape[1] == inputs + count else None)
+    if x.shape[1] < inputs + count:
+        return drive.begun(speed)
+    return drive.begun(speed, x[:, inputs : inputs + count], x[:, inputs + count :])
 
 
 def _in(dtype: torch.dtype, thing: Any) -> Any:

@@ -33,7 +33,7 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.networks.product_units import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
-from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.drive import DriveModel, Reached, Underway
 from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.motion.floor import Floor
 from neurosim.simulators.motion.kernel_units import KernelUnits
@@ -344,8 +344,8 @@ class CombinedTrainer:
         odd = torch.arange(len(within.row)) % 2 == 1
         until, since = ~odd & (time >= _SHORTEST), odd & (left >= _SHORTEST)
         # A rest is like a separate command only if no command is pending.
-        commanded, speed = self._when(self._drive, x, within.row[since], time[since])
-        settled = (commanded - speed).abs().amax(1) < _SETTLED
+        commanded, reached = self._when(self._drive, x, within.row[since], time[since])
+        settled = (commanded - reached.speed).abs().amax(1) < _SETTLED
         since[since.clone()] = settled | (time[since] >= self._drive.delay)
         after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
         command = torch.cat([within.row[until], within.row[since]])
@@ -355,21 +355,22 @@ class CombinedTrainer:
 
     def _when(
         self, drive: DriveModel, x: Tensor, row: Tensor, time: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return the commands of rows [K], and the speeds reached at a time (s) in them."""
+    ) -> tuple[Tensor, Reached]:
+        """Return the commands of rows [K], and what is reached at a time (s) in them."""
         under = rows_underway(drive, self._columns, x[row])
         commanded = x[row][:, list(self._columns.driven)]
-        return commanded, drive.reached(under, commanded, time).speed
+        return commanded, drive.reached(under, commanded, time)
 
     def _part_inputs(self, drive: DriveModel, x: Tensor) -> Tensor:
         """Return the inputs of parts of commands, from a drive model's of the whole rows."""
         assert self._cut is not None
         command, begins, lasts, _ = self._cut
         inputs, rest = x[command].clone(), begins > 0.0
-        commanded, speed = self._when(drive, x, command[rest], begins[rest])
+        commanded, reached = self._when(drive, x, command[rest], begins[rest])
         there = inputs[rest]
-        there[:, list(self._columns.before)] = speed
-        there[:, len(self._data.inputs) :] = commanded  # it acts already
+        there[:, list(self._columns.before)] = reached.speed
+        # It acts already.
+        there[:, len(self._data.inputs) :] = torch.cat([commanded, reached.drift], 1)
         inputs[rest] = there
         inputs[:, self._columns.duration] = lasts / self._longest
         return inputs

@@ -37,7 +37,7 @@ from neurosim.simulators.motion.drive import (
     features_of,
     terms_of,
 )
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, drifted, goal_of
 from neurosim.simulators.motion.network import chain
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -160,24 +160,42 @@ class Actuators(NamedTuple):
         return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
 
 
+class Distances(NamedTuple):
+    """Features of the twists of pieces of P models' commands, see :meth:`DriveModel.pieces`.
+
+    Attributes:
+        rows: of whole rows, [P, pieces, K, N].
+        within: until the poses within them, [P, pieces, K, L].
+        late: of sideways motion, where it has a lag of its own, as ``rows``.
+        late_within: the same until the poses within.
+    """
+
+    rows: Tensor
+    within: Tensor
+    late: Tensor
+    late_within: Tensor
+
+
 @njit(error_model="numpy")
-def _distances(a, turning, modes, before, commanded, time, follows, row, until, features, within):
-    """Write the features of the twists of pieces of commands, see :meth:`DriveModel.pieces`.
+def _distances(a, turning, modes, drift, before, commanded, time, follows, row, until, features):
+    """Write the features of the twists of pieces of commands, see :class:`Distances`.
 
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         modes: as in DriveModel, [C, C].
+        drift: lag of sideways motion, s.
         before: the previous command of each, [N, C].
         commanded: the commands, [N, C].
         time: durations, [N] s.
         follows: whether a row's command followed that of the previous row, [N].
         row: row of each instant within a command, [L], ascending.
         until: time of each instant since the row began, [L] s.
-        features: [_PIECES, K, N], zeros, written.
-        within: [_PIECES, K, L], zeros, written: of the commands until these instants.
+        features: :class:`Distances` of one model, zeros, written; late ones if there is a drift.
     """
-    count = commanded.shape[1]
+    count, terms = commanded.shape[1], features.rows.shape[1]
+    rate, pieces, late = np.zeros(terms), np.zeros((_PIECES, terms)), np.zeros((_PIECES, terms))
+    lasts = np.zeros(_PIECES)
     law, distance = np.empty((count, _LAW)), np.empty(count)
     begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
     k = 0
@@ -186,14 +204,43 @@ def _distances(a, turning, modes, before, commanded, time, follows, row, until, 
             goals[0, c] = goal_of(a, modes, before[i], c)
             goals[1, c] = goal_of(a, modes, commanded[i], c)
             begins[c] = reached[c] if follows[i] else goals[0, c]
+        if not follows[i] and drift > 0.0:
+            rate[:count] = goals[0]
+            products_and_losses(turning, 1.0, count, rate)
         while k < len(row) and row[k] == i:
-            _cut(a, turning, begins, goals, until[k], law, distance, reached, within[:, :, k])
+            _cut(a, turning, begins, goals, until[k], law, distance, reached, pieces, lasts)
+            features.within[:, :, k] = pieces
+            if drift > 0.0:
+                _follow_late(drift, pieces, lasts, rate.copy(), late)
+                features.late_within[:, :, k] = late
             k += 1
-        _cut(a, turning, begins, goals, time[i], law, distance, reached, features[:, :, i])
+        _cut(a, turning, begins, goals, time[i], law, distance, reached, pieces, lasts)
+        features.rows[:, :, i] = pieces
+        if drift > 0.0:
+            _follow_late(drift, pieces, lasts, rate, late)
+            features.late[:, :, i] = late
 
 
 @njit(error_model="numpy")
-def _cut(a, turning, begins, goals, time, law, distance, reached, features):
+def _follow_late(drift, pieces, lasts, rate, late):
+    """Let the features of pieces [_PIECES, K] follow with a lag, as sideways motion does.
+
+    It is linear in the twist's coefficients; so each feature can follow by itself.
+
+    Args:
+        drift: lag, s.
+        pieces: features.
+        lasts: their durations, [_PIECES] s.
+        rate: rates of change of the late features, [K] 1/s, changed to those at the end.
+        late: [_PIECES, K], written.
+    """
+    for k in range(len(pieces)):
+        for f in range(len(rate)):
+            late[k, f], rate[f] = drifted(drift, rate[f], pieces[k, f], lasts[k])
+
+
+@njit(error_model="numpy")
+def _cut(a, turning, begins, goals, time, law, distance, reached, features, lasts):
     """Cut a command into pieces of constant twist.
 
     Args:
@@ -206,8 +253,10 @@ def _cut(a, turning, begins, goals, time, law, distance, reached, features):
         distance: [C] scratch.
         reached: [2 C], written: speeds and pushes at the end.
         features: [_PIECES, K], written, see :func:`motion_features`.
+        lasts: [_PIECES], written: durations of the pieces, s.
     """
     count, begin = len(begins), 0.0
+    features[:], lasts[:] = 0.0, 0.0
     for c in range(count):
         reached[c], reached[count + c] = begins[c], 0.0
     for own in range(2):
@@ -233,7 +282,7 @@ def _cut(a, turning, begins, goals, time, law, distance, reached, features):
                 if end == span:
                     reached[c], reached[count + c] = _come(law[c], span, left)
             products_and_losses(turning, end - last, count, features[first + k])
-            last = end
+            lasts[first + k], last = end - last, end
 
 
 @kernel(forceinline=True)
@@ -292,6 +341,7 @@ class Motion:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
+        drift: lag of sideways motion of the drive models that are fitted, s; 0: it has none.
         precision: reciprocal of the relative size of the errors of turns and of translations, [2,
             N]; None: all are alike.
     """
@@ -307,12 +357,11 @@ class Motion:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
+    drift: float = 0.0
     precision: Tensor | None = None
 
-    #: A delay is nearly a lag where only the ends of commands are known, and a drift a sideways
-    #: motion.
+    #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
-    drift: ClassVar[float] = 0.0
 
     def some(self, most: int) -> Motion:
         """Return stretches of the rows, ``most`` at most, and of the poses within them as many."""
@@ -344,28 +393,30 @@ class Motion:
             x[:, list(places)] = fit.drive.shaped(outside(x[:, list(places)], fit.band))
         return chain(fit.drive, self.columns, x, self.follows, self.longest)
 
-    def distances(self, actuators: Actuators) -> tuple[Tensor, Tensor]:
-        """Return the features of the twists of pieces of each model's commands.
-
-        They are for whole rows, [P, pieces, K, N], and until the poses within them, [P, pieces, K,
-        L].
-        """
+    def distances(self, actuators: Actuators) -> Distances:
+        """Return the features of the twists of pieces of each model's commands."""
         x, columns, within = self.x, self.columns, self.within
         if within is None:
             none = torch.zeros(0, dtype=x.dtype)
             within = Within(none.long(), none, none)
         terms = searched_terms(self)
-        features = [
-            torch.zeros(len(actuators.lag), _PIECES, terms, rows, dtype=x.dtype)
-            for rows in (len(x), len(within.row))
-        ]
+        rows, parts = len(x), len(within.row)
+        late = (rows, parts) if self.drift > 0.0 else (0, 0)
+        features = Distances(
+            *(
+                torch.zeros(len(actuators.lag), _PIECES, terms, count, dtype=x.dtype)
+                for count in (rows, parts, *late)
+            )
+        )
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
         times = x[:, columns.duration] * self.longest, self.follows
-        parts = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
-        each = actuators.turning(self.turning), actuators.modes(self.modes)
+        known = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
+        each = actuators.turning(self.turning), actuators.modes(self.modes), self.drift
         for p, own in enumerate(zip(*(part.numpy() for part in features), strict=True)):
-            _distances(actuators.one(p), *each, *parts, *own)
-        return features[0], features[1]
+            _distances(actuators.one(p), *each, *known, Distances(*own))
+        if self.drift > 0.0:
+            return features
+        return features._replace(late=features.rows, late_within=features.within)
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and their errors."""
@@ -494,9 +545,9 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
             of nearly ``straight`` static curves, and a ``drift``, a lag of sideways motion.
     """
     fit = _fit_evenly(rows, band, without)
-    if not isinstance(fit.rows, Motion):
-        return _drifting(fit) if fit.searched and "drift" not in without else fit
-    if not fit.searched or len(fit.rows.x) < _SIZED:
+    if fit.searched and "drift" not in without:
+        fit = _drifting(fit)
+    if not (fit.searched and isinstance(fit.rows, Motion) and len(fit.rows.x) >= _SIZED):
         return fit
     turns, shifts = (one.error[0] for one in fit.rows.fitted(fit.actuators)[1][:2])
     left = torch.stack([turns, shifts.unflatten(0, (2, -1)).norm(dim=0)])
@@ -516,7 +567,6 @@ def _drifting(fit: Fit) -> Fit:
     best = min(_DRIFTS, key=cost)
     if cost(0.0) - cost(best) < _INERT:
         return fit
-    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
     return Fit.of(replace(fit.rows, drift=best), fit.band, fit.laws, True)
 
 
@@ -889,7 +939,7 @@ def _off(laws: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
 def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]:
     """Return the best kinematics [P, F, 3], and their errors."""
     x, y, within = motion.x, motion.y, motion.within
-    pieces, parts = motion.distances(actuators)
+    pieces, parts, late, late_parts = motion.distances(actuators)
     of_turn, of_shift = terms_near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
@@ -900,11 +950,16 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
     chord = se2.chord(turns)
-    ahead = torch.einsum("pkn,pkfn->pfn", chord * heading.cos(), pieces)
-    aside = torch.einsum("pkn,pkfn->pfn", chord * heading.sin(), pieces)
+
+    def turned(features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rows' displacements by the features as forward motion, [P, K, N] each."""
+        parts = chord * heading.cos() * precision[1], chord * heading.sin() * precision[1]
+        ahead, aside = (torch.einsum("pkn,pkfn->pfn", part, features) for part in parts)
+        return ahead, aside
+
     moved = se2.mid_turn(y)
-    ahead, aside = ahead * precision[1], aside * precision[1]
-    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
+    (ahead, aside), (late_ahead, late_aside) = turned(pieces), turned(late)
+    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-late_aside, late_ahead], 2)], 1)
     target = (moved[:, :2].T * precision[1]).flatten()
     speeds, shifts_left = regressions(both, target, of_shift.repeat(2), weight.repeat(2))
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
@@ -913,7 +968,9 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         # They are from the same commands as the rows and must not outweigh them: in all they have
         # at most the weight of the rows.
         counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
-        twists = (kinematics.mT[:, None] @ parts).transpose(2, 3)  # [P, pieces, L, 3]
+        forward, sideways, turn = (one[:, None, None] for one in kinematics.unbind(2))
+        twists = torch.stack([forward @ parts, sideways @ late_parts, turn @ parts], -1)
+        twists = twists.squeeze(2)  # [P, pieces, L, 3]
         steps = se2.exp(twists).unbind(1)
         pose = steps[0]
         for step in steps[1:]:

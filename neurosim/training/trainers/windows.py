@@ -405,7 +405,7 @@ class Chains:
         x = x.clone()
         x[:, list(self.columns.driven)] = goals[self.whole]
         x[:, list(self.columns.before)] = speed
-        return torch.cat([x, before[self.whole]], 1), under
+        return torch.cat([x, before[self.whole], drift], 1), under
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and their errors."""
