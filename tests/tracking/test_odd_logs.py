@@ -184,6 +184,20 @@ def test_held_commands_that_are_half_of_a_log_are_not_all_that_is_learned_from(i
     assert len(made) > (1000 if held < 1.0 else 290)
 
 
+def test_a_body_that_answers_in_three_steps_is_no_other_clock(imported):
+    """A delay of 0.77 s would explain it better, but hardly."""
+    time, _, commands = drive(160.0, seed=3)
+    slow = commands.copy()
+    for _ in range(2):
+        for k in range(1, len(slow)):
+            slow[k] = slow[k - 1] + (slow[k] - slow[k - 1]) * (1 - np.exp(-DT / 0.7))
+    poses = drive(160.0, lag=0.7, commands=slow)[1]
+    poses += np.random.default_rng(0).normal(0.0, 0.01, poses.shape)
+    log = logs.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
+    assert clocks.lateness([log]).delay == clocks.ROBOTS
+    assert "clock" not in imported(time, poses, commands)[1]
+
+
 def test_a_slow_body_is_no_other_clock(imported):
     time, poses, commands = drive(seconds=120.0, lag=1.5)
     log = logs.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))

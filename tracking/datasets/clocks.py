@@ -96,9 +96,11 @@ def lateness(logs: Sequence[Log]) -> Lateness | None:
     if left[best] > _LEFT:
         return None
     robots = np.flatnonzero((shifts * step >= -_EARLY) & (shifts * step <= ROBOTS))
+    limits = -np.inf, np.inf
     if left[best] > _BETTER * left[robots].min():
-        best = int(robots[left[robots].argmin()])
-    return Lateness(float(shifts[best] * step + _between(left, best) * step), float(left[best]))
+        best, limits = int(robots[left[robots].argmin()]), (-_EARLY, ROBOTS)
+    delay = np.clip((shifts[best] + _between(left, best)) * step, *limits)
+    return Lateness(float(delay), float(left[best]))
 
 
 def _sampled(log: Log, grid: NDArray, step: float) -> tuple[NDArray, ...]:
@@ -119,7 +121,10 @@ def _between(left: NDArray, best: int) -> float:
         return 0.0
     before, at, after = left[best - 1 : best + 2]
     curve = before - 2 * at + after
-    return 0.0 if not np.isfinite(curve) or curve <= 0 else float((before - after) / (2 * curve))
+    if not np.isfinite(curve) or curve <= 0:
+        return 0.0
+    # At the best of some shifts, not of all, the parabola's minimum may be far away.
+    return float(np.clip((before - after) / (2 * curve), -0.5, 0.5))
 
 
 def _lagged(commands: NDArray, step: float, lag: float) -> NDArray:
