@@ -672,6 +672,7 @@ class Composition(Format):
         kernel_units: number of units of the Gaussian process.
         process: weights of the Gaussian process.
         floor: the floor, where the rows tell of it.
+        drift: lag of sideways motion, s; 0: none.
     """
 
     actuators: dict[str, dict[str, float]]
@@ -679,6 +680,7 @@ class Composition(Format):
     kernel_units: int
     process: Fractions
     floor: Unevenness | None = None
+    drift: float = 0.0
 
 
 class SensorLearned(Format):

@@ -92,6 +92,8 @@ def _composition(simulator: Artefact) -> list[Block]:
         f"fractions of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
+    if made.get("drift"):
+        words += f"; sideways motion has a lag of {made['drift']:.2g} s"
     if made.get("floor"):
         words += (
             f"; the slip differs by {made['floor']['sd']:.1%} of the motion (standard deviation) "

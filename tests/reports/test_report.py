@@ -113,6 +113,7 @@ def test_what_a_simulator_is_made_of_is_shown(whole):
         ["change in angle (deg)", "0%"],
     ]
     assert "answered after 28 ms" in page.text
+    assert "sideways motion has a lag of 1.3 s" in page.text
 
 
 def test_table_2_against_an_independent_reckoning(whole):

@@ -849,6 +849,7 @@ class CombinedTrainer:
         return {
             "actuators": actuators,
             "delay": float(drive.delay),
+            "drift": float(drive.drift),
             "swing": self._derived.swing,
             "floor": None if self._floor is None else self._floor.described(),
             "kernel_units": len(self._best.process.centres),

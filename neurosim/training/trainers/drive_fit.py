@@ -521,9 +521,9 @@ class Fit(NamedTuple):
         *parts, drag = (torch.from_numpy(part) for part in actuators.one(0)[3:])
         kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
         losses = None if rows.turning is None else twists[kinematics:]
-        drift = torch.tensor([rows.drift])
-        twisted = (twists[:kinematics], rows.turning, losses, rows.modes, drag, drift)
-        drive = DriveModel(*parts, *twisted)
+        drift = torch.tensor([rows.drift], dtype=torch.float64)
+        body = rows.turning, losses, rows.modes, drag, drift
+        drive = DriveModel(*parts, twists[:kinematics], *body)
         return cls(drive, rows, band, laws, searched, actuators)
 
 
