@@ -62,10 +62,8 @@ def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
     kinematics = drive_model().kinematics.clone()
     kinematics[3, 1] = -0.3
     late = torch.tensor([drift], dtype=torch.float64)
-    model, rows = (
-        replace(drive_model(), kinematics=kinematics, drift=late),
-        replace(rows, drift=drift),
-    )
+    model = replace(drive_model(), kinematics=kinematics, drift=late)
+    rows = replace(rows, drift=drift)
     actuators = actuators_of(model)
     none = torch.zeros(2, dtype=torch.float64)
     inputs, under = rows.inputs(Fit(model, rows, none, none, True, actuators), x)

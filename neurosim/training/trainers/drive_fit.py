@@ -211,32 +211,34 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
             _cut(a, turning, begins, goals, until[k], law, distance, reached, pieces, lasts)
             features.within[:, :, k] = pieces
             if drift > 0.0:
-                _follow_late(drift, pieces, lasts, rate.copy(), late)
+                then = rate.copy()
+                for n in range(_PIECES):
+                    follow_late(drift, pieces[n], lasts[n], then, late[n])
                 features.late_within[:, :, k] = late
             k += 1
         _cut(a, turning, begins, goals, time[i], law, distance, reached, pieces, lasts)
         features.rows[:, :, i] = pieces
         if drift > 0.0:
-            _follow_late(drift, pieces, lasts, rate, late)
+            for n in range(_PIECES):
+                follow_late(drift, pieces[n], lasts[n], rate, late[n])
             features.late[:, :, i] = late
 
 
-@njit(error_model="numpy")
-def _follow_late(drift, pieces, lasts, rate, late):
-    """Let the features of pieces [_PIECES, K] follow with a lag, as sideways motion does.
+@kernel()
+def follow_late(lag, features, lasts, rate, late):
+    """Let the features [K] of a piece follow with a lag, as sideways motion does.
 
     It is linear in the twist's coefficients; so each feature can follow by itself.
 
     Args:
-        drift: lag, s.
-        pieces: features.
-        lasts: their durations, [_PIECES] s.
+        lag: s.
+        features: see :func:`motion_features`.
+        lasts: its duration, s.
         rate: rates of change of the late features, [K] 1/s, changed to those at the end.
-        late: [_PIECES, K], written.
+        late: [K], written.
     """
-    for k in range(len(pieces)):
-        for f in range(len(rate)):
-            late[k, f], rate[f] = drifted(drift, rate[f], pieces[k, f], lasts[k])
+    for f in range(len(rate)):
+        late[f], rate[f] = drifted(lag, rate[f], features[f], lasts)
 
 
 @njit(error_model="numpy")
@@ -559,13 +561,12 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
 
 def _drifting(fit: Fit) -> Fit:
     """Return the fit with the lag of sideways motion that fits the rows best, if one does."""
-    searched = fit.rows.some(_ROWS)
-
-    def cost(drift: float) -> float:
-        return float(_costs(replace(searched, drift=drift), fit.laws[None], fit.band))
-
-    best = min(_DRIFTS, key=cost)
-    if cost(0.0) - cost(best) < _INERT:
+    searched, costs = fit.rows.some(_ROWS), {}
+    for drift in (0.0, *_DRIFTS):
+        late = replace(searched, drift=drift)
+        costs[drift] = float(_costs(late, fit.laws[None], fit.band))
+    best = min(costs, key=costs.__getitem__)
+    if costs[0.0] - costs[best] < _INERT:
         return fit
     return Fit.of(replace(fit.rows, drift=best), fit.band, fit.laws, True)
 

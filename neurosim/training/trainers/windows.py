@@ -18,13 +18,14 @@ from torch import Tensor
 from neurosim.base.compiled import njit
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import Underway
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, drifted, goal_of
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, goal_of
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.trainers.drive_fit import (
     Actuators,
     Errors,
     Fit,
+    follow_late,
     outside,
     products_and_losses,
     regressions,
@@ -207,9 +208,7 @@ def _driven(a, turning, modes, commanded, before, time, joined, features, lasts,
 
 @njit(error_model="numpy")
 def _late(features, lasts, row, joined, lag, late, states):
-    """Let the features of pieces follow with a lag, as sideways motion does.
-
-    It is linear in the twist's coefficients; so each feature can follow by itself.
+    """Let the features of pieces of rows follow with a lag, see :func:`follow_late`.
 
     Args:
         features, lasts, row: of :func:`_driven`.
@@ -221,13 +220,12 @@ def _late(features, lasts, row, joined, lag, late, states):
     rate = np.zeros(features.shape[1])
     last = -1
     for k in range(len(features)):
-        for f in range(len(rate)):
-            if row[k] != last:
-                if not joined[row[k]]:
-                    rate[f] = features[k, f] / lasts[k]
-                states[row[k], f] = rate[f]
-            late[k, f], rate[f] = drifted(lag, rate[f], features[k, f], lasts[k])
-        last = row[k]
+        if row[k] != last:
+            last = row[k]
+            if not joined[last]:
+                rate[:] = features[k] / lasts[k]
+            states[last] = rate
+        follow_late(lag, features[k], lasts[k], rate, late[k])
 
 
 @dataclass(frozen=True)
