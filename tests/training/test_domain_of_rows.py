@@ -38,10 +38,10 @@ def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
 
 @pytest.mark.slow
 def test_no_member_runs_off_where_rows_were_few():
-    """Wherever 40 rows support commands, six in a row, members stay near each other.
+    """Wherever 40 rows support commands, six in a row, eight members stay near each other.
 
     The farthest of 24,000 commands depends on the seed, and on how a processor rounds; the median
-    of five simulators does not.
+    of five simulators does not. The farthest of more members is farther off by chance.
     """
     data = training_data(Dataset.read(REFERENCE)).part(slice(1000, 1040))
     apart = np.median([farthest_members(data, seed) for seed in range(1, 6)], axis=0)
@@ -50,7 +50,7 @@ def test_no_member_runs_off_where_rows_were_few():
 
 def farthest_members(data, seed):
     """Return how far members are from their median, m, m, rad: the farthest of six commands."""
-    simulator = learn(data, seed)
+    simulator = learn(data, seed, members=8)
     simulator.known = domain_of(simulator, data, None)
     rng, rows = np.random.default_rng(0), 4000
     low, high = np.array(list(simulator.domain.values())).T

@@ -111,7 +111,8 @@ class CombinedSettings(Checked):
     """Settings of the trainer.
 
     Attributes:
-        members: Simulators in the ensemble; 1: no ensemble.
+        members: Simulators in the ensemble; 1: no ensemble. Eight are sometimes alike by chance, so
+            that a plan which fails in reality completes in all of them.
         noise: Fit a noise model.
         dead_band: Dead band of each input, as a fraction of its largest value; by default it is
             estimated from the data.
@@ -135,7 +136,7 @@ class CombinedSettings(Checked):
             ``spread``).
     """
 
-    members: Annotated[int, Meta(ge=1, le=1000)] = 8
+    members: Annotated[int, Meta(ge=1, le=1000)] = 16
     noise: bool = True
     dead_band: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
     centres: Count = 75
