@@ -92,15 +92,16 @@ def _within(simulator: Any) -> dict[str, Any]:
     *names, last = simulator.command_names
     if last != "duration":
         return settings
-    if (*names, last) == COMMAND_NAMES:
+    known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
+    percent = all(known.get(name, "%") == "%" for name in names)
+    if (*names, last) == COMMAND_NAMES and percent:
         speeds = [simulator.domain[name] for name in names if name in simulator.domain]
         fastest = max((abs(end) for pair in speeds for end in pair), default=math.inf)
         if fastest * (1.0 + simulator.slack) < Plan.max_speed:
             settings["max_speed"] = max(fastest, 1.0)
     elif set(names) <= set(simulator.domain):
-        known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
         settings["names"] = tuple(names)
-        settings["units"] = tuple(known.get(name, "1") for name in names)
+        settings["units"] = tuple(known.get(name) or "1" for name in names)
         settings["limits"] = tuple(tuple(map(float, simulator.domain[name])) for name in names)
     low, high = simulator.domain.get("duration", (0.0, math.inf))
     slack = simulator.slack * (high - low) if math.isfinite(high) else 0.0

@@ -26,6 +26,7 @@ from neurosim.training.base import Trainer, TrainingData, Within
 from neurosim.training.evaluate import compare
 from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
+from neurosim.training.trainers.windows import LENGTHS
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: Fraction of rows, last in time, that training never uses.
@@ -204,7 +205,9 @@ def learn(
 def domain_of(simulator: MotionNetwork, data: TrainingData, settings: Any) -> Domain:
     """Return the domain of the commands from which a simulator has learned.
 
-    A drive model that has learned from poses within commands knows the beginning of each.
+    A drive model that has learned from poses within commands knows the beginning of each. One that
+    has learned from windows of a log has composed their commands to the longest window, so a
+    command may last as long.
 
     Args:
         simulator: the simulator learned from the data.
@@ -216,7 +219,12 @@ def domain_of(simulator: MotionNetwork, data: TrainingData, settings: Any) -> Do
     begins = (
         simulator.drive is not None and inside and not getattr(settings, "whole_commands", False)
     )
-    return Domain.of(simulator.command_names, data.x[:, places].cpu().numpy(), begins=begins)
+    commands = data.x[:, places].cpu().numpy().copy()
+    if data.joined is not None and simulator.drive is not None:
+        begins = True
+        lasts = commands[:, simulator.command_names.index("duration")]
+        np.maximum(lasts, LENGTHS[-1], out=lasts)
+    return Domain.of(simulator.command_names, commands, begins=begins)
 
 
 def _figures(mse: list[float]) -> str:

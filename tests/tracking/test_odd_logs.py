@@ -288,6 +288,86 @@ def test_turns_that_go_the_other_way(imported):
     same(made, expected)
 
 
+def test_a_command_whose_sign_is_not_that_of_the_motion(imported):
+    time, poses, commands = drive()
+    _, warnings = imported(time, poses, commands * (1, -1))
+    assert "If only w counts clockwise, change its sign" in warnings
+    _, warnings = imported(time, poses, commands * (-1, 1))
+    assert "the robot goes backwards where v is above 0" in warnings
+
+
+@pytest.mark.parametrize("lines", [1, 30, 100])
+def test_headings_that_turn_round(imported, lines):
+    """Markers that are taken for each other: no row has a wrong turn."""
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    wrong = poses.copy()
+    turned = np.arange(len(time)) // lines % 5 == 3
+    wrong[turned, 2] = np.angle(np.exp(1j * (wrong[turned, 2] + np.pi)))
+    made, warnings = imported(time, wrong, commands)
+    assert f"{turned.sum()} lines, fewer than the others, are left out; --keep" in warnings
+    table = expected.table.set_index(["v", "w", "duration"])
+    for row in made.table.itertuples():
+        right = table.loc[(row.v, row.w, row.duration)]
+        assert abs(row.dtheta - float(right["dtheta"])) < 0.02
+        assert abs(row.dx - float(right["dx"])) < 0.005
+    assert len(made) > 15
+    _, warnings = imported(time, wrong, commands, settings=Settings(keep=True))
+    assert "turn round" not in warnings
+    # A robot that turns quickly, seen rarely, does not turn round.
+    rarely = slice(None, None, 40)
+    _, warnings = imported(
+        time[rarely], poses[rarely], commands[rarely], settings=Settings(longest_gap=5.0)
+    )
+    assert "turn round" not in warnings
+
+
+def test_a_command_that_is_never_zero(imported):
+    """Pulses of servos: 1500 us mean standing still."""
+    time, poses, commands = drive()
+    wheels = np.column_stack([commands @ (1, -0.1), commands @ (1, 0.1)]) * 900
+    _, warnings = imported(time, poses, wheels.round() + 1500, "left,right")
+    assert "0 must mean standing still or straight on; if another value does, subtract" in warnings
+    assert warnings.startswith("left is 1")
+    # A robot that only drives forwards, from a third of its speed to full speed.
+    rng = np.random.default_rng(4)
+    forward = np.repeat(rng.uniform((0.1, -1.0), (0.3, 1.0), (60, 2)), 25, axis=0)
+    assert imported(*drive(75.0, commands=forward))[1] == ""
+
+
+def test_a_command_that_is_once_far_larger(imported):
+    time, poses, commands = drive()
+    commands = commands.copy()
+    commands[300:320, 1] = 65535.0
+    _, warnings = imported(time, poses, commands, "speed,rate")
+    assert "the command rate is up to 65535 in 1." in warnings
+    assert "at most 1.47 otherwise" in warnings
+
+
+def test_lengths_that_may_be_of_two_units(imported):
+    time, poses, commands = drive()
+    wheels = np.column_stack([commands @ (1, -0.1), commands @ (1, 0.1)]) * 200
+    _, warnings = imported(time, poses * (1000, 1000, 1), wheels, "left,right")
+    assert warnings.endswith("they would with --length cm or --length mm")
+
+
+def test_headings_in_radians_that_have_large_steps_are_not_in_degrees(imported):
+    """Unwrapped, a sample every second, turning by up to 4 rad from one to the next."""
+    rng = np.random.default_rng(2)
+    held = np.repeat(rng.uniform((-0.3, -4.0), (0.3, 4.0), (120, 2)), 60, axis=0)
+    time, poses, commands = drive(360.0, commands=held)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    each = slice(None, None, 20)
+    given = time[each], poses[each], commands[each], "left,right"
+    assert "--angle" not in imported(*given, settings=Settings(longest_gap=2.0))[1]
+
+
+def test_nanoseconds_that_are_taken_for_seconds(imported):
+    time, poses, commands = drive()
+    with pytest.raises(UserError, match=r"samples are 5e\+07 s apart: check --time"):
+        imported(time * 1e9, poses, commands)
+
+
 def test_headings_that_do_not_fit_the_motion(imported):
     time, poses, commands = drive()
     wrong = poses.copy()
@@ -504,6 +584,20 @@ def test_counters_of_wheels_become_how_fast_they_count(imported):
     off = np.abs(turn * table["duration"] - table["dtheta"])
     assert off.max() < 0.02
     assert np.abs(speed * table["duration"] - table["dx"]).max() < 0.002
+
+
+@pytest.mark.slow
+def test_a_counter_that_was_set_to_zero_has_no_rate_there(imported):
+    time, poses, _ = drive(120.0)
+    counts = counted_wheels(poses) + 1e6
+    given = {"names": "left,right", "counters": ("left", "right")}
+    expected, _ = imported(time, poses, counts, **given)
+    reset = counts.copy()
+    reset[len(counts) // 2 :] -= counts[len(counts) // 2] - 7
+    made, warnings = imported(time, poses, reset, **given)
+    assert warnings == ""
+    largest = np.abs(expected.input_array()).max(0)
+    assert (np.abs(made.input_array()).max(0) <= 1.01 * largest).all()
 
 
 @pytest.mark.slow

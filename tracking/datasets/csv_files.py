@@ -48,6 +48,10 @@ _USUAL_UNITS = {"v": "m/s", "w": "rad/s"}
 #: Reason for leaving out a line of a file of rows.
 ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not known"}
 
+#: Rate of a counter, in multiples of nearly all others, from which on it was set anew.
+_RESET = 5.0
+#: Longest time between samples, s: more is another unit.
+_APART = 1e5
 #: Largest number in a file; a larger one is a mistake, and results from it may not be finite.
 _LARGEST = 1e30
 
@@ -140,7 +144,7 @@ def import_csv(
     made: list[dict[str, Any]] = []
     windows = False
     warnings: list[str] = []
-    read = conventions
+    read, degrees = conventions, shape == "rows"
     if shape == "log":
         drives: list[logs.Log] = []
         for name, table in zip(names, tables, strict=True):
@@ -152,15 +156,20 @@ def import_csv(
         made, left_out, windows = logs.any_rows_of(drives, commands, settings)
         if not made:
             _explain(tables[0].path, drives[0], left_out, settings)
-        if conventions.angle == "rad" and any(_in_degrees(table) for table in tables):
-            read = replace(conventions, angle="deg")
+        moved = suspicious.moved_in(drives)
+        if conventions.angle == "rad" and any(_turns_widely(table) for table in tables):
+            other = replace(conventions, angle="deg")
             both = zip(names, tables, strict=True)
-            drives = [
+            in_degrees = [
                 drive
                 for name, table in both
-                for drive in _logs(table, name, commands, read, settings, session, counters)[0]
+                for drive in _logs(table, name, commands, other, settings, session, counters)[0]
             ]
-        moved = suspicious.moved_in(drives)
+            turned = suspicious.moved_in(in_degrees)
+            # Fast turns in radians have large steps, too, but fit the way.
+            degrees = suspicious.fit_better(turned, moved, commands)
+            if degrees and any(_in_degrees(table) for table in tables):
+                drives, moved, read = in_degrees, turned, other
         counting = suspicious.counting(moved, commands)
         sent = [name for name in commands if name not in counters]
         warnings += counting or suspicious.always_changing(drives, commands, sent)
@@ -190,7 +199,7 @@ def import_csv(
             dataset.table[commands].to_numpy(float), duration, dataset.output_array()
         )
         warnings += _wrapped(moved, duration)
-    warnings += suspicious.suspicions(moved, commands, units, conventions, read)
+    warnings += suspicious.suspicions(moved, commands, units, conventions, read, degrees)
     dataset.meta["warnings"] = warnings
     dataset.write(out)
     return dataset
@@ -286,6 +295,9 @@ def _logs(
         raise FileError(
             table.path, f"holds {counted(len(time), 'sample')}; a log needs two or more"
         )
+    apart = float(np.median(np.abs(np.diff(time))))
+    if apart > _APART:
+        raise UserError(f"{table.path}: samples are {apart:g} s apart: check --time")
     still = np.diff(time, prepend=-np.inf) == 0
     if still.mean() > 0.5:
         repeated = "most lines repeat the time of the line before: name another column by --columns"
@@ -307,17 +319,26 @@ def _logs(
 def _rate(time: NDArray, counts: NDArray) -> NDArray:
     """Return how fast a counter (N,) counts from each sample to the next, 1/s.
 
-    Counters of 16 and 32 bits begin again at their end. Where time does not go on, the rate is that
-    of before.
+    Counters of 16 and 32 bits begin again at their end. Where time does not go on, or a counter was
+    set back, the rate is that of before.
     """
     steps, lasts = np.diff(counts), np.diff(time)
     for size in (2.0**16, 2.0**32):
         again = np.abs(np.abs(steps) / size - 1.0) < 0.1
         steps = np.where(again, steps - np.copysign(size, steps), steps)
-    known = np.append(lasts > 0, False)
+    # Where a counter was set to 0, it has no rate.
+    fast = np.abs(steps) / np.where(lasts > 0, lasts, 1.0)
+    goes_on = (lasts > 0) & (fast <= _RESET * np.quantile(fast, 0.95))
+    known = np.append(goes_on, False)
     rate = np.append(steps / np.where(lasts > 0, lasts, 1.0), 0.0)
     before = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
     return np.where(known[before], rate[before], 0.0)
+
+
+def _turns_widely(table: _Table) -> bool:
+    """Return whether a log's headings exceed one turn in radians."""
+    heading = np.abs(table.array(LOG[3:], optional=True))
+    return bool(np.nanmax(heading, initial=0.0) > suspicious.ONE_TURN)
 
 
 def _in_degrees(table: _Table) -> bool:
@@ -341,6 +362,8 @@ def _explain(
             f"{path}: samples are {apart:g} s apart, more than --longest-gap "
             f"{settings.longest_gap:g}: check --time, or give a longer --longest-gap"
         )
+    if (lasts := log.time[-1] - log.time[0]) < settings.shortest:
+        raise UserError(f"{path}: lasts {lasts:g} s; a row needs {settings.shortest:g} s or more")
     if left_out["too short"] > sum(left_out.values()) / 2:
         raise UserError(
             f"{path}: no command is held for {settings.shortest:g} s: name the columns of the "

@@ -34,6 +34,9 @@ _COURSE, _FITS = 0.5, 0.6
 _MOST_FIT = 0.15
 #: Shortest stretch that does not fit, s; most of it must not fit.
 _STRETCH = 1.0
+#: A heading is turned round if it differs by half a turn, up to this, rad, from one line to the
+#: next; the other steps must be smaller than this.
+_ROUND = 0.5
 
 
 def sessions_of(
@@ -96,6 +99,12 @@ def sessions_of(
         warnings.append(f"the pose jumps {_times(len(jumps))} (at {at} s); the log is cut there")
     if settings.keep:
         return logs, warnings
+    logs, turned = map(list, zip(*map(_facing, logs), strict=True)) if logs else ([], [])
+    if count := sum(turned):
+        warnings.append(
+            f"headings turn round from one line to the next, as where markers are mistaken for "
+            f"each other: {count} lines, fewer than the others, are left out; --keep keeps them"
+        )
     kept = [_fitting(log) for log in logs]
     wrong = [stretch for _, stretches in kept for stretch in stretches]
     if wrong:
@@ -237,6 +246,30 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
         if speed[place] > _OVER_NEIGHBOURS * np.median(neighbours):
             jumps.append(place + 1)
     return np.array(jumps, np.int64)
+
+
+def _facing(log: Log) -> tuple[Log, int]:
+    """Return a log without the poses whose headings are turned round, and their number.
+
+    The heading changes by half a turn there and back; the fewer poses count as wrong.
+    """
+    time, heading = log.pose_time, log.poses[:, 2]
+    if len(time) < 8:
+        return log, 0
+    turns = np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi)
+    lasts = np.diff(time)
+    follows = lasts <= 3.0 * np.median(lasts)
+    rounds = follows & (turns > np.pi - _ROUND)
+    if not rounds.any() or np.quantile(turns[follows & ~rounds], 0.95) > _ROUND:
+        return log, 0
+    side = np.append(0, np.cumsum(rounds)) % 2
+    run = np.append(0, np.cumsum(~follows))
+    more = np.bincount(run, side) > np.bincount(run) / 2
+    kept = side == more[run]
+    poses = log.poses[kept].copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    seen = log.seen & ~np.isin(log.time, time[~kept])
+    return replace(log, seen=seen, pose_time=time[kept], poses=poses), int((~kept).sum())
 
 
 def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:

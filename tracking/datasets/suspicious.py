@@ -38,6 +38,14 @@ _FEW, _COUNTED = 30, 0.5
 #: Median angle between heading and way, rad, from which they do not fit each other: a robot that
 #: slips is below it.
 _ASIDE = 0.6
+#: Fraction of the time in which a command is rarely so large, and in multiples of what it is
+#: otherwise, how large.
+_RARELY, _FAR = 0.03, 5.0
+#: Smallest command, as a fraction of the largest, that is never near 0, and fraction of the
+#: variance of the motion that a constant must explain in addition.
+_NEVER, _GAINED = 0.3, 0.2
+#: Largest heading within one turn, rad, with some noise.
+ONE_TURN = 2 * math.pi + 0.1
 #: Fraction of changing lines above which a command counts as measured or computed.
 _ALWAYS = 0.9
 
@@ -136,6 +144,7 @@ def suspicions(
     units: Mapping[str, str],
     given: Conventions,
     read: Conventions | None = None,
+    degrees: bool = True,
 ) -> list[str]:
     """Return sentences on suspicious findings in commands and the motion that followed them.
 
@@ -145,10 +154,11 @@ def suspicions(
         units: of the commands.
         given: the conventions that the user gave.
         read: the conventions used for reading the motion, if others.
+        degrees: whether headings may be in degrees; those within one turn in radians may not.
     """
     if len(moved.twist) < 8:
         return []
-    by_units = _units(moved, names, units, given, read or given)
+    by_units = _units(moved, names, units, given, read or given, degrees)
     # Headings in another unit are no way to go; otherwise a wrong way is no unit.
     sideways = [] if any("--angle" in one for one in by_units) else _sideways(moved, names)
     of_motion = sideways or [*by_units, *_turns(moved, names, units, given)]
@@ -160,6 +170,7 @@ def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
     for name, column in zip(names, moved.commands.T, strict=True):
         if (column == column[0]).all():
             warnings.append(f"the command {name} never changes: leave it out of --columns")
+    warnings += [*_rare(moved, names), *_neutral(moved, names)]
     if (moved.twist == 0).all():
         warnings.append(
             "the robot never moves: look whether x, y and heading are the right --columns"
@@ -167,18 +178,79 @@ def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
     return warnings
 
 
-def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
-    """Return a sentence if a robot of two commands goes sideways; its speeds then say nothing."""
+def _rare(moved: Moved, names: Sequence[str]) -> list[str]:
+    """Return a sentence for each command that is rarely far larger than otherwise."""
+    warnings = []
+    for name, size in zip(names, np.abs(moved.commands).T, strict=True):
+        usual = float(np.quantile(size, 1.0 - _RARELY))
+        far = size > _FAR * usual
+        if usual > 0.0 and far.any():
+            warnings.append(
+                f"the command {name} is up to {size.max():g} in {far.mean():.1%} of the time, and "
+                f"at most {size[~far].max():g} otherwise: if it was not sent, remove these lines"
+            )
+    return warnings
+
+
+def _neutral(moved: Moved, names: Sequence[str]) -> list[str]:
+    """Return a sentence if commands are never near 0, and 0 does not mean standing still."""
+    size = np.abs(moved.commands)
+    never = [
+        name
+        for name, column, lowest, highest in zip(
+            names, moved.commands.T, size.min(0), size.max(0), strict=True
+        )
+        if lowest > _NEVER * highest and (column != column[0]).any()
+    ]
+    usual = _usual(moved.commands)
+    if not never or usual.sum() < _FEW:
+        return []
+    scaled, motion = moved.commands[usual] / size.max(0), moved.twist[usual][:, [0, 2]]
+    spread = motion.var(0)
+    if (spread == 0.0).any():
+        return []
+
+    def missed(inputs: NDArray) -> NDArray:
+        left = motion - inputs @ np.linalg.lstsq(inputs, motion, rcond=None)[0]
+        return np.square(left).mean(0) / spread
+
+    gained = missed(scaled) - missed(np.column_stack([scaled, np.ones(len(scaled))]))
+    if gained.max() < _GAINED:
+        return []
+    ranges = ", ".join(
+        f"{name} is {column.min():g} to {column.max():g}"
+        for name, column in zip(names, moved.commands.T, strict=True)
+        if name in never
+    )
+    return [
+        f"{ranges}: 0 must mean standing still or straight on; if another value does, subtract it"
+    ]
+
+
+def off_its_way(moved: Moved) -> float:
+    """Return the median angle, 0 to pi/2, between headings and the way of a robot that moves."""
     speed = np.hypot(moved.twist[:, 0], moved.twist[:, 1])
     fast = speed > 0.3 * np.quantile(speed, 0.95)
-    if len(names) > 2 or fast.sum() < 8:
-        return []
-    off = float(np.median(off_axis(np.arctan2(moved.twist[fast, 1], moved.twist[fast, 0]))))
-    if off < _ASIDE:
+    if fast.sum() < 8:
+        return 0.0
+    return float(np.median(off_axis(np.arctan2(moved.twist[fast, 1], moved.twist[fast, 0]))))
+
+
+def fit_better(turned: Moved, moved: Moved, names: Sequence[str]) -> bool:
+    """Return whether other headings fit the way of a robot of two commands; True for others."""
+    if len(names) > 2:
+        return True
+    return off_its_way(turned) <= min(off_its_way(moved), _ASIDE)
+
+
+def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
+    """Return a sentence if a robot of two commands goes sideways; its speeds then say nothing."""
+    if len(names) > 2 or (off := off_its_way(moved)) < _ASIDE:
         return []
     return [
         f"the robot goes {math.degrees(off):.0f} degrees off its headings (median): are x and y "
-        "swapped, is one mirrored, or is heading 0 not along x? Headings grow from x to y"
+        "swapped, is one mirrored, or is heading 0 not along x? Headings grow from x to y; "
+        + ("or is the tracked point far from the axle?" if moved.apart else "or is --frame world?")
     ]
 
 
@@ -200,8 +272,12 @@ def _track(moved: Moved, names: Sequence[str]) -> tuple[float, float] | None:
     """Return the distance of two wheels, m, and the turn rate by right minus left; or None."""
     if list(names) != ["left", "right"]:
         return None
-    weights = np.linalg.lstsq(moved.commands, moved.twist[:, [0, 2]], rcond=None)[0]
-    forward, turn = weights[:, 0].sum(), (weights[1, 1] - weights[0, 1]) / 2
+    usual = _usual(moved.commands)
+    if usual.sum() < 8:
+        return None
+    with_one = np.column_stack([moved.commands[usual], np.ones(usual.sum())])
+    weights = np.linalg.lstsq(with_one, moved.twist[usual][:, [0, 2]], rcond=None)[0]
+    forward, turn = weights[:2, 0].sum(), (weights[1, 1] - weights[0, 1]) / 2
     if abs(turn) * np.abs(moved.commands).max() < 1e-9:
         return None
     return abs(forward / turn), float(turn)
@@ -220,7 +296,7 @@ def like_degrees(time: NDArray, heading: NDArray) -> bool:
         return False
     apart = np.abs(np.diff(time))
     steps = np.abs(np.diff(heading))[apart <= 3.0 * np.median(apart)]
-    return bool(np.abs(heading).max() > 2 * np.pi + 0.1 and (steps > np.pi).any())
+    return bool(np.abs(heading).max() > ONE_TURN and (steps > np.pi).any())
 
 
 def _units(
@@ -229,6 +305,7 @@ def _units(
     units: Mapping[str, str],
     given: Conventions,
     now: Conventions,
+    degrees: bool,
 ) -> list[str]:
     """Return other units in which implausible numbers would make sense."""
     gains, track = _gains(moved, names, units), _track(moved, names)
@@ -255,12 +332,14 @@ def _units(
         return [] if now == given else [_RIGHT.format(" ".join(given.besides(now)))]
     others = [
         replace(now, length=length, angle=angle, time=time)
-        for length, angle, time in product(LENGTHS, ANGLES, TIMES)
+        for length, angle, time in product(LENGTHS, ANGLES if degrees else [now.angle], TIMES)
     ]
     fitting = [other for other in others if sensible(other, _MENDED)]
     fitting.sort(key=lambda other: len(given.besides(other)))
     if fitting and fitting[0] != given:
-        return [_RIGHT.format(" ".join(given.besides(fitting[0])))]
+        fewest = len(given.besides(fitting[0]))
+        near = [other for other in fitting if len(given.besides(other)) == fewest]
+        return [_RIGHT.format(" or ".join(" ".join(given.besides(other)) for other in near))]
     warnings = []
     likely = {"m/s": _within(fast, _SPEEDS), "rad/s": _within(turning, _RATES)}
     for unit, gain in gains.items():
@@ -273,9 +352,10 @@ def _units(
     for name, column in zip(names, moved.commands.T, strict=True):
         limits = {"m/s": _SPEEDS, "rad/s": _RATES}.get(units.get(name, ""), (0.0, math.inf))
         if (largest := np.abs(column).max()) > limits[1]:
+            other = {"m/s": "mm/s", "rad/s": "deg/s"}[units[name]]
             warnings.append(
                 f"the command {name} is up to {largest:.3g} {units[name]}: is that its unit? "
-                f"Otherwise name it, such as --units {name}=mm/s"
+                f"Otherwise name it, such as --units {name}={other}"
             )
     if not _within(fast, _SPEEDS) and fast:
         warnings.append(
@@ -306,7 +386,12 @@ def _turns(
         name = next(name for name in names if units.get(name) == "rad/s")
         return [
             f"the robot turns the other way than {name} says: does y point to the {other} "
-            f"(--y {other})?"
+            f"(--y {other})? If only {name} counts clockwise, change its sign"
+        ]
+    if len(names) < 3 and _gains(moved, names, units).get("m/s", 0.0) < -1 / _OBEYS:
+        name = next(name for name in names if units.get(name) == "m/s")
+        return [
+            f"the robot goes backwards where {name} is above 0: do its headings point backwards?"
         ]
     if track is not None and track[1] < 0:
         return [
@@ -348,12 +433,17 @@ def counting(moved: Moved, names: Sequence[str]) -> list[str]:
     ]
 
 
+def _usual(inputs: NDArray) -> NDArray[np.bool_]:
+    """Return which inputs (K, C) are not far larger than most."""
+    return (np.abs(inputs) <= 10.0 * np.quantile(np.abs(inputs), 0.9, axis=0)).all(1)
+
+
 def _explained(inputs: NDArray, twist: NDArray) -> float:
     """Return the fraction of the variance of the motion (K, 3) that inputs (K, C) explain.
 
     Far larger inputs do not count, such as where a counter begins again.
     """
-    usual = (np.abs(inputs) <= 10.0 * np.quantile(np.abs(inputs), 0.9, axis=0)).all(1)
+    usual = _usual(inputs)
     if usual.sum() < _FEW:
         return 0.0
     inputs, twist = inputs[usual], twist[usual]
