@@ -56,6 +56,18 @@ class Checkpoint:
             with suppress(OSError):
                 self.folder.rmdir()  # nothing was saved
 
+    def check_none(self) -> None:
+        """Raise an error if there is a checkpoint.
+
+        Raises:
+            UserError: if there is one, of an interrupted run.
+        """
+        if self._settings.exists():
+            raise UserError(
+                f"{self.folder} has an interrupted {self._what}: continue it (--resume), or "
+                "remove the folder yourself"
+            )
+
     def begin(self, settings: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> None:
         """Start again.
 
@@ -66,11 +78,7 @@ class Checkpoint:
         Raises:
             UserError: if there is a checkpoint of an interrupted run.
         """
-        if self._settings.exists():
-            raise UserError(
-                f"{self.folder} has an interrupted {self._what}: continue it (--resume), or "
-                "remove the folder yourself"
-            )
+        self.check_none()
         files.make_folder(self.folder)
         self._state.unlink(missing_ok=True)
         content = {"settings": dict(settings), "options": dict(options or {})}

@@ -114,6 +114,10 @@ def changed(
     return simulator.changed(noise=noise)
 
 
+#: Probability of success below which a plan should be evolved robustly before it is driven.
+_LIKELY = 0.5
+
+
 @click.command(
     cls=SettingsCommand,
     begun=lambda values: without_camera(Checkpoint(values["out"], "evolution").options()),
@@ -293,7 +297,8 @@ def evolve(
             tensorboard=tensorboard,
             **judges,
         )
-    _say(controllers, out, simulator, made, keep_all, as_json)
+    again = ["evolve", simulator, "--task", task, "--robust", "-o", "ROBUST"]
+    _say(controllers, out, simulator, made, keep_all, as_json, None if robust else again)
 
 
 def _robot(controller: Any, simulator: Path) -> list[str]:
@@ -308,8 +313,15 @@ def _robot(controller: Any, simulator: Path) -> list[str]:
 
 
 def _say(
-    controllers: list[Any], out: Path, simulator: Path, task: Any, keep_all: bool, as_json: bool
+    controllers: list[Any],
+    out: Path,
+    simulator: Path,
+    task: Any,
+    keep_all: bool,
+    as_json: bool,
+    robustly: list[Any] | None,
 ) -> None:
+    """Print what was evolved, and the next step; ``robustly``: that for unlikely plans."""
     from neurosim.loop.unmet import Unmet
 
     best = controllers[0]
@@ -361,6 +373,8 @@ def _say(
         text += f"Unlike what the simulator learned from: {100 * unsupported:.1f} % of the time.\n"
     if task.episode.readings:
         text += next_step("view", simulator, "--controller", paths[0], "-o", "path.png")
+    elif robustly and best.given and chance is not None and chance < _LIKELY:
+        text += next_step(*robustly)
     else:
         text += next_step("run", paths[0], *_robot(best, simulator), "-o", "TRIAL")
     emit(result, as_json, text)

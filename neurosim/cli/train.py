@@ -56,11 +56,19 @@ def train(
             "once; was something recorded or imported twice?",
             err=True,
         )
+    explained = simulator.meta["test_explained"]
+    if max(explained["dx"], explained["dtheta"]) < _EXPLAINED:
+        click.echo(
+            "neurosim: the commands explain almost nothing of the held-out motion: are these the "
+            "commands of this robot, and do their times fit those of the poses?",
+            err=True,
+        )
     result = {
         "simulator": str(out),
         "repeated_rows": repeated,
         "test_window": window,
         "test_errors": errors,
+        "test_explained": explained,
         "test_coverage": coverage,
         **({"readings": readings} if readings else {}),
         **simulator.meta["wall_clock"],
@@ -116,6 +124,10 @@ def _sensors_in_words(readings: dict[str, Any] | None) -> str:
             f"{one['rms']:.3f}.\n"
         )
     return words
+
+
+#: Fraction of the variance of the motion below which commands explain almost nothing.
+_EXPLAINED = 0.2
 
 
 @click.command()

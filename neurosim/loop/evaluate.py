@@ -314,6 +314,14 @@ def _check_columns(simulator: Simulator, controller: Controller) -> None:
             f"the controller ({controller.kind}) gives {', '.join(given)}, but this simulator "
             f"takes {', '.join(wanted)}; use one that was made from such commands"
         )
+    known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
+    for name, unit in zip(given, getattr(controller, "units", ()), strict=False):
+        if known.get(name) and known[name] != unit:
+            raise UserError(
+                f"the controller ({controller.kind}) gives {name} in {unit}, but this simulator "
+                f"takes it in {known[name]}; make it for the simulator, as by "
+                f'make_controller("{controller.kind}", simulator)'
+            )
 
 
 class Fitness:

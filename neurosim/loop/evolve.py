@@ -484,6 +484,8 @@ def evolve(
         "real_generations": real_generations,
     }
     with checkpoint.held():
+        if not resume:
+            checkpoint.check_none()
         for folder in folders:
             check_new_folder(folder, overwrite=resume and _unfinished(folder))
         if resume:

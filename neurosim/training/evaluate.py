@@ -37,6 +37,8 @@ _JOINED_DRAWS, _PARTS = 200, 8
 #: Time after which a robot has a command's final speeds, s.
 _CALM = 5.0
 
+#: Smallest variance of an output, m^2 and rad^2: that of poses of a robot that stands.
+_FINEST = 1e-6
 #: Factors from metres and radians to centimetres and degrees, and the units' names.
 READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
 UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
@@ -148,6 +150,12 @@ class Compared:
     def errors(self) -> dict[str, dict[str, Any]]:
         """Return the simulator's errors, in the form of :func:`errors`."""
         return errors(self.predicted, self.actual)
+
+    def explained(self) -> dict[str, float]:
+        """Return the fraction of each output's variance that is predicted; below 0: none is."""
+        left = np.square(self.predicted - self.actual).mean(0)
+        spread = np.maximum(self.actual.var(0), _FINEST)
+        return dict(zip(OUTPUTS, (1.0 - left / spread).tolist(), strict=True))
 
     def baseline_errors(self) -> dict[str, Any] | None:
         """Return the ideal robot's ``description`` and ``errors``, or None."""

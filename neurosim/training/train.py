@@ -129,6 +129,7 @@ def train(
         "history": history,
         "test_window": compared.window,
         "test_errors": compared.errors(),
+        "test_explained": compared.explained(),
         "test_coverage": compared.coverage(),
         "source": source,
         "wall_clock": {"training_seconds": round(time.monotonic() - began, 1)},

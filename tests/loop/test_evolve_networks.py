@@ -88,7 +88,7 @@ def test_ctrl_c_keeps_the_best_so_far(tmp_path):
     whole = evolved(tmp_path / "whole", Judge())
     judge = Judge(8, KeyboardInterrupt)
     assert evolved(tmp_path / "net", judge).evolution["interrupted"]
-    with pytest.raises(UserError, match="not empty"):
+    with pytest.raises(UserError, match="has an interrupted evolution: continue it"):
         evolved(tmp_path / "net", judge)
     with pytest.raises(UserError, match="begun with seed = 5, not 6"):
         evolved(tmp_path / "net", judge, resume=True, seed=6)

@@ -9,9 +9,11 @@ from synthetic_robot import random_commands
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers import make_controller
+from neurosim.loop.evaluate import evaluate
 from neurosim.simulators.base import check_commands
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import read_motion, write_motion
+from neurosim.tasks.nine_rectangles import NineRectangles
 
 NAMES = ("left", "right", "duration")
 
@@ -137,3 +139,21 @@ def test_plans_keep_within_the_ranges_of_their_simulator():
     assert plan.durations[0] == 0.5
     assert plan.durations[1] == pytest.approx(1.5, abs=0.05)
     assert make_controller("plan", simulator, max_speed=40.0).max_speed == 40.0
+
+
+@pytest.mark.parametrize("unit", ["", "m/s"])
+def test_plans_of_wheels_in_another_unit_have_the_limits_of_their_simulator(unit):
+    simulator = random_motion_network()
+    for one in simulator.inputs[:-1]:
+        one["unit"] = unit
+    rows = random_commands(np.random.default_rng(0), 500) * [0.004, 5.0, 1.0]
+    simulator.known = Domain.of(NAMES, rows)
+    plan = make_controller("plan", simulator)
+    assert plan.units == (unit or "1",) * 2
+    assert plan.limits == (simulator.domain["left"], simulator.domain["right"])
+    commands, _ = plan.commands(np.random.default_rng(1).random((50, plan.genes)), 0.0)
+    assert len(np.unique(commands[..., 0])) > 100  # not whole percents
+    if unit:
+        task = NineRectangles()
+        with pytest.raises(UserError, match="gives left in %, but this simulator takes it in m/s"):
+            evaluate(simulator, task, make_controller("plan"))

@@ -8,7 +8,7 @@ from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.training import evaluate, train
 from neurosim.training.base import TrainingData, root_mean_square
-from neurosim.training.evaluate import errors
+from neurosim.training.evaluate import Compared, errors
 from neurosim.training.unicycle import unicycle
 
 QUICK = {
@@ -31,6 +31,15 @@ def test_errors_worked_by_hand():
     assert table["dtheta"]["mse"] == pytest.approx((1 + 9) / 2)
     assert table["dtheta"]["mean_absolute_error"] == pytest.approx(2.0)
     assert [table[name]["unit"] for name in table] == ["cm", "cm", "deg"]
+
+
+def test_how_much_of_the_motion_is_explained_worked_by_hand():
+    actual = np.array([[0.1, 0.0, 1.0], [0.3, 0.0, -1.0]])
+    predicted = np.array([[0.1, 0.0, 1.0], [0.2, 0.001, 3.0]])
+    explained = Compared(predicted, actual, None, None, None).explained()
+    assert explained["dx"] == pytest.approx(1.0 - 0.005 / 0.01)
+    assert explained["dtheta"] == pytest.approx(1.0 - 8.0 / 1.0)
+    assert explained["dy"] == pytest.approx(1.0 - 5e-7 / 1e-6)  # it did not move
 
 
 def test_only_held_out_rows_of_ones_own_dataset_and_all_of_another(

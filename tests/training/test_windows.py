@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from neurosim.base import se2
+from neurosim.controllers import make_controller
 from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 from neurosim.training.evaluate import compare, predict
-from neurosim.training.train import learn, training_data
+from neurosim.training.train import domain_of, learn, training_data
 from neurosim.training.trainers import combined
 from neurosim.training.trainers.drive_fit import Actuators, Fit
 from neurosim.training.trainers.windows import LENGTHS, Chains, runs_of, windows_of
@@ -198,6 +199,16 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     assert float(simulator.drive.delay) == pytest.approx(0.1, abs=0.03)
     assert simulator.drive.lag.tolist() == pytest.approx([0.15, 0.25], abs=0.05)
     other = dataset_of(joystick(np.random.default_rng(3), 40.0, model))
+    # Pieces of 0.1 s are composed to windows: commands may last as long.
+    simulator.known = domain_of(simulator, training_data(data), None)
+    longest = float(data.table["duration"].max())
+    assert simulator.domain["duration"] == (0.0, longest)
+    shorter = training_data(data)
+    shorter = shorter.part(torch.nonzero(shorter.x[:, -1] < 0.5).flatten())
+    simulator.known = domain_of(simulator, shorter, None)
+    assert simulator.domain["duration"] == (0.0, 2.0)
+    assert simulator.supported(np.array([[0.2, 0.3, 0.05], [0.2, 0.3, 2.0]])).all()
+    assert make_controller("plan", simulator).durations == (0.5, 2.0)
     compared = compare(simulator, data, other)
     assert compared.window == 1.0
     errors = compared.errors()
