@@ -3,7 +3,7 @@
 An impossible pair (a task that needs sensors, a simulator without) is an error of one sentence.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +16,7 @@ import neurosim as ns
 from neurosim.base.trajectory import Draws
 from neurosim.controllers import Function, Network, Plan, Recurrent
 from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.search import Search
 from neurosim.loop.settings import RobustSettings, default_settings
 
 SIMULATORS = {
@@ -192,3 +193,36 @@ def test_the_expected_motion_has_no_noise():
     genes = np.full((1, 12), 0.4)
     a = evaluator.run(genes, evaluator.expectation()).poses
     assert np.array_equal(a, evaluator.run(genes, Draws(np.array([Far.start]))).poses)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_fitness_that_is_not_finite_names_its_task(wrong, tmp_path):
+    class Wrong(Far):
+        def worth(self, record):
+            judged = super().worth(record)
+            return replace(judged, fitness=np.where(judged.fitness < 0.01, judged.fitness, wrong))
+
+    sim = motion_network()
+    with pytest.raises(ns.UserError, match="the task far gives a trial a fitness that is not fin"):
+        ns.evolve(sim, Wrong(), Plan(slots=4), generations=2, out=tmp_path / "o", progress=False)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("genes", "message"),
+    [
+        (np.zeros((1, 10, 3)), r"finite genes \[\.\.\., 16\]; it asked for \[1, 10, 3\]$"),
+        (np.full((1, 10, 16), np.nan), r"asked for \[1, 10, 16\], some of them nan or inf"),
+    ],
+)
+def test_an_optimiser_that_asks_for_other_genes_is_told(genes, message):
+    class Asks:
+        def ask(self):
+            return genes
+
+        def tell(self, merit):
+            raise AssertionError("nothing was judged")
+
+    evaluator = Evaluator(motion_network(), Far(), Plan(slots=4))
+    with pytest.raises(ns.UserError, match=message):
+        Search(evaluator, Asks(), seed=[0]).generation()

@@ -123,11 +123,24 @@ class Evaluator:
     def judge(self, genes: NDArray[np.float64], draws: Draws) -> tuple[Judgement, Trajectory]:
         """Return judgements [P, R] of individuals [P, G], and their trajectories."""
         trajectory = self.run(genes, draws)
-        return self.scored(trajectory), trajectory
+        return self._finite(self.scored(trajectory)), trajectory
 
     def scored(self, trajectory: Trajectory) -> Judgement:
         """Return the task's judgement [P, R] of trajectories."""
         return self.task.judge(trajectory)
+
+    def _finite(self, judged: Judgement) -> Judgement:
+        """Return a judgement whose fitness is finite.
+
+        Raises:
+            UserError: naming the task whose fitness is not.
+        """
+        if not np.isfinite(judged.fitness).all():
+            raise UserError(
+                f"the task {self.task.name} gives a trial a fitness that is not finite (nan or "
+                "inf): return a finite number, the lower the worse"
+            )
+        return judged
 
     def merit(
         self,
@@ -192,7 +205,9 @@ class Evaluator:
     ) -> tuple[Merit, list[NDArray]]:
         """Return the merit of one part of a population, and its hints; see :meth:`merit`."""
         trajectory = self.run(genes, draws, reuse=True)
-        merit = objective_named(objective)(self.task, trajectory, self.scored(trajectory))
+        merit = objective_named(objective)(
+            self.task, trajectory, self._finite(self.scored(trajectory))
+        )
         if unsupported is not None and self.simulator.knows_gaps:
             merit = put_behind(merit, self.unsupported(trajectory), unsupported)
         return merit, [_HINTS[name](self, trajectory) for name in hints]

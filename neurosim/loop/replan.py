@@ -136,6 +136,8 @@ class Replanner:
         self._state = np.empty((0, 0))
         self._commands: list[Command] = []
         self._poses: list[NDArray[np.float64]] = []
+        #: Poses in the middle of the commands, as simulated.
+        self._middles: list[NDArray[np.float64]] = []
         self.foreseen: list[Foreseen] = []
 
     def next(self, pose: NDArray[np.float64], ahead: float = 0.0) -> Command | None:
@@ -147,7 +149,7 @@ class Replanner:
         """
         began = 0.0 if self._clock is None else self._clock.now()
         self._arrive(np.asarray(pose, np.float64), ahead)
-        self._onward.here(self._state[0], np.array(self._poses), np.array(self._commands))
+        self._onward.here(self._state[0], self._poses, self._middles, np.array(self._commands))
         self._genes, probability, rest, generations = self._search(began)
         slots = commands_of(self._plan, self._genes)
         place = next((i for i, command in enumerate(slots) if command is not None), None)
@@ -225,6 +227,8 @@ class Replanner:
             self._poses.append(pose)
             return
         *numbers, duration = self._commands[-1]
+        half = np.array([[*numbers, duration / 2]])
+        self._middles.append(self._stepper.step(self._state, half, None)[0, :3])
         ahead = min(max(ahead, 0.0), duration)
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
@@ -298,13 +302,26 @@ class _Onward(Evaluator):
 
     _earlier: Records | None = None
 
-    def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
-        """Set the state [S], after poses [K + 1, 3] and commands [K, C]."""
+    def here(
+        self,
+        state: NDArray,
+        poses: Sequence[NDArray],
+        middles: Sequence[NDArray],
+        commands: NDArray,
+    ) -> None:
+        """Set the state [S], after K + 1 poses [3], K commands [K, C] and poses amid these [3]."""
         self._state, self._earlier = state, None
-        if len(commands):
-            self._earlier = Records(self.task, poses[:1])
-            for pose, command in zip(poses[1:, None], commands[:, None], strict=True):
-                self._earlier.add(Interval(pose, command[:, -1], commands=command))
+        if not len(commands):
+            return
+        self._earlier = Records(self.task, poses[0][None])
+        for before, middle, pose, command in zip(poses, middles, poses[1:], commands, strict=False):
+            lasts = command[None, -1]
+            if abs(pose[2] - before[2]) > np.pi:
+                # The arc between the ends of a spin is far larger than its way.
+                lasts = lasts / 2
+                half = Interval(middle[None], lasts, ends=False, commands=command[None])
+                self._earlier.add(half)
+            self._earlier.add(Interval(pose[None], lasts, commands=command[None]))
 
     def scored(self, trajectory: Trajectory) -> Judgement:
         return self.task.judge(trajectory, self._earlier)

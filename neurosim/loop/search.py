@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws
 from neurosim.controllers.base import Controller
 from neurosim.evolution.climb import resumable
@@ -112,6 +113,13 @@ class Search:
     def generation(self) -> str:
         """Judge a population, let the optimiser make the next; return a short figure."""
         asked = np.asarray(self.optimiser.ask(), np.float64)
+        wanted = self._evaluator.controller.genes
+        if asked.ndim < 2 or asked.shape[-1] != wanted or not np.isfinite(asked).all():
+            raise UserError(
+                f"the optimiser must ask for finite genes [..., {wanted}]; it asked for "
+                f"{list(asked.shape)}"
+                + ("" if np.isfinite(asked).all() else ", some of them nan or inf")
+            )
         genes = asked.reshape(-1, *asked.shape[-2:])
         if self._samples and (self._draws is None or self.done % self._refresh == 0):
             self._draws = self._draw()

@@ -155,7 +155,8 @@ def change_at_transfer(controller: Artefact) -> float | None:
     """Return the change of the population's best from simulator to robot, as a fraction of it."""
     lines = history(controller)
     transfer, best = lines.get("transfer"), lines.get("best", ())
-    if transfer is None or transfer >= len(best) or best[transfer - 1] == 0:
+    # Of a fitness that is not above 0 there is no fraction.
+    if transfer is None or transfer >= len(best) or best[transfer - 1] <= 0:
         return None
     return float(best[transfer] / best[transfer - 1] - 1.0)
 

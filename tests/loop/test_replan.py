@@ -18,7 +18,9 @@ from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators.motion.excess import Excess
 from neurosim.simulators.tables.reaction import Reaction
+from neurosim.tasks.base import Interval, Records
 from neurosim.tasks.go_to import GoTo
+from neurosim.tasks.nine_rectangles import NineRectangles
 
 TASK = GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.02, heading_tolerance=math.radians(3.0))
 FAMILY = Plan(slots=5)
@@ -191,3 +193,22 @@ def test_a_search_ends_in_time_or_lasts_it_out():
     quick = replace(QUICK, generations=1, think=3.0)
     Replanner(SlippingWheels(), TASK, FAMILY, settings=quick, clock=clock).next(np.zeros(3))
     assert clock.time == pytest.approx(before + 0.1 + 3.0)
+
+
+def test_a_spin_is_judged_by_its_way_not_by_the_arc_between_its_ends():
+    """After a turn by 6.46 rad on the spot, 2 cm aside, the drive of a course goes on."""
+    task, turned = NineRectangles(), -6.46
+    replanner = Replanner(IdealWheels(), task, Plan(slots=3), settings=QUICK)
+    poses = np.array([task.start, (-0.8, 0.5, 1.2), (0.1, 0.36, 0.3), (0.12, 0.36, 0.3 + turned)])
+    middles = (poses[1:] + poses[:-1]) / 2
+    commands = np.array([[30.0, 30.0, 2.0], [30.0, 30.0, 2.0], [20.0, -20.0, 2.5]])
+    along_arcs = Records(task, poses[:1])
+    for pose in poses[1:, None]:
+        along_arcs.add(Interval(pose, 2.0))
+    assert along_arcs.over().all()  # a circle of 26 cm, into the forbidden rectangle
+    replanner.begin()
+    replanner._onward.here(np.zeros(3), list(poses), list(middles), commands)
+    assert not replanner._onward._earlier.over().any()
+    middles[2, 1] = 0.1  # it really was there
+    replanner._onward.here(np.zeros(3), list(poses), list(middles), commands)
+    assert replanner._onward._earlier.over().all()

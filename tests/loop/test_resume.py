@@ -185,10 +185,10 @@ def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
         evolve(
             simulator(), task, another, out=tmp_path / "out", settings=settings, seed=5, resume=True
         )
-    with pytest.raises(UserError, match="not empty"):
+    with pytest.raises(UserError, match="continue it"):
         run(case, tmp_path / "out")
     run(case, tmp_path / "out", resume=True)
-    with pytest.raises(UserError, match="not empty"):
+    with pytest.raises(UserError, match="continue it"):
         run(case, tmp_path / "out", resume=True)
 
 

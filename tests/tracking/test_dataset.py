@@ -279,6 +279,16 @@ def test_a_video_that_ends_early(tmp_path):
     dataset = build([path], tmp_path / "out")
     assert dataset.table["command"].tolist() == [1, 2, 3]
     assert dataset.meta["left_out"]["incomplete"] == 1
+    assert "warnings" not in dataset.meta
+
+
+def test_a_session_that_was_not_tracked_is_named(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION, SESSION])
+    recording = Recording(path)
+    recording.write_poses(recording.poses().of_session(1))
+    (warning,) = build([path], tmp_path / "out").meta["warnings"]
+    assert warning.startswith("rec: session 2: no pose from 4 commands at its end")
+    assert warning.endswith("run neurosim track again")
 
 
 def test_no_usable_command_is_an_error_that_says_why(tmp_path):

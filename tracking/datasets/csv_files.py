@@ -363,7 +363,10 @@ def _explain(
             f"{settings.longest_gap:g}: check --time, or give a longer --longest-gap"
         )
     if (lasts := log.time[-1] - log.time[0]) < settings.shortest:
-        raise UserError(f"{path}: lasts {lasts:g} s; a row needs {settings.shortest:g} s or more")
+        raise UserError(
+            f"{path}: no command is held for {settings.shortest:g} s, because the log lasts "
+            f"{lasts:g} s: check --time, or give a lower --shortest"
+        )
     if left_out["too short"] > sum(left_out.values()) / 2:
         raise UserError(
             f"{path}: no command is held for {settings.shortest:g} s: name the columns of the "

@@ -317,6 +317,11 @@ def build(
         measured = displacements(
             recording, settings, correct_delay=correct_delay, doubtful=doubtful
         )
+        warnings += [
+            f"{name}: session {session}: no pose from {counted(count, 'command')} at its end: if "
+            "it was filmed on, run neurosim track again"
+            for session, count in measured.untracked.items()
+        ]
         if chained:
             measured.corrected.clear()  # training estimates the delay
             stretches, notes = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
@@ -358,7 +363,7 @@ def build(
     if chained:
         names_of = [name for name in inputs if f"prev_{name}" in inputs]
         rows, counts, _ = logs.any_rows_of(drives, names_of, logs.Settings(windows=True))
-        how = {"reasons": logs.REASONS, "windows": True, "warnings": warnings}
+        how = {"reasons": logs.REASONS, "windows": True}
     else:
         counts, how = left_out, {"reasons": REASONS, "cutting": cutting(sent)}
     dataset = make(
@@ -368,6 +373,7 @@ def build(
         left_out=counts,
         settings=asdict(settings),
         **how,
+        **({"warnings": warnings} if warnings or chained else {}),
         motor_delays=delays,
         clocks=clocks,
         markers=markers,

@@ -84,6 +84,7 @@ class Displacements:
         delays: the motors' delay of every session in which it could be estimated
             (:class:`tracking.clock.motor_delay.Delay`).
         corrected: the sessions whose displacements begin at that later instant.
+        untracked: session -> count of the commands after the last pose, where several were.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -91,6 +92,7 @@ class Displacements:
     sent: list[dict[str, Any]] = field(default_factory=list)
     delays: dict[int, Delay] = field(default_factory=dict)
     corrected: set[int] = field(default_factory=set)
+    untracked: dict[int, int] = field(default_factory=dict)
 
 
 class Track:
@@ -223,6 +225,11 @@ def displacements(
         certain = abs(delay.delay) > SIGNIFICANT * delay.sd and delay.answers >= FEWEST_ANSWERS
         if correct_delay and certain:
             result.corrected.add(session)
+    # The last command may be shown to its end by no picture.
+    seen = {session: track.last_time for session, track in tracks.items()}
+    commands = (line for line in lines if line.kind == "command")
+    after = (x.session for x in commands if x.time > seen.get(x.session, -np.inf))
+    result.untracked = {session: count for session, count in Counter(after).items() if count > 1}
     late = {session: result.delays[session].delay for session in result.corrected}
     attempts: Counter[int | None] = Counter()
     takes, names = recording.takes, recording.takes.names

@@ -388,7 +388,7 @@ def _turns(
             f"the robot turns the other way than {name} says: does y point to the {other} "
             f"(--y {other})? If only {name} counts clockwise, change its sign"
         ]
-    if len(names) < 3 and _gains(moved, names, units).get("m/s", 0.0) < -1 / _OBEYS:
+    if len(names) < 3 and -_OBEYS < _gains(moved, names, units).get("m/s", 0.0) < -1 / _OBEYS:
         name = next(name for name in names if units.get(name) == "m/s")
         return [
             f"the robot goes backwards where {name} is above 0: do its headings point backwards?"
