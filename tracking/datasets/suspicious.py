@@ -227,7 +227,7 @@ def _neutral(moved: Moved, names: Sequence[str]) -> list[str]:
     ]
 
 
-def off_its_way(moved: Moved) -> float:
+def off_heading(moved: Moved) -> float:
     """Return the median angle, 0 to pi/2, between headings and the way of a robot that moves."""
     speed = np.hypot(moved.twist[:, 0], moved.twist[:, 1])
     fast = speed > 0.3 * np.quantile(speed, 0.95)
@@ -240,12 +240,12 @@ def fit_better(turned: Moved, moved: Moved, names: Sequence[str]) -> bool:
     """Return whether other headings fit the way of a robot of two commands; True for others."""
     if len(names) > 2:
         return True
-    return off_its_way(turned) <= min(off_its_way(moved), _ASIDE)
+    return off_heading(turned) <= min(off_heading(moved), _ASIDE)
 
 
 def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
     """Return a sentence if a robot of two commands goes sideways; its speeds then say nothing."""
-    if len(names) > 2 or (off := off_its_way(moved)) < _ASIDE:
+    if len(names) > 2 or (off := off_heading(moved)) < _ASIDE:
         return []
     return [
         f"the robot goes {math.degrees(off):.0f} degrees off its headings (median): are x and y "
