@@ -218,7 +218,7 @@ def record(
     emit(
         result,
         as_json,
-        _words(result) + _next(out, recording.is_tracked, calibration),
+        _words(result) + _next(out, recording, calibration),
     )
     if (out / "sightings.csv").exists() and not recording.is_tracked:
         # It was tracked, and has no poses: stderr has the reason.
@@ -277,10 +277,12 @@ def _words(result: dict[str, Any]) -> str:
     )
 
 
-def _next(out: Path, tracked: bool, calibration: Path | None) -> str:
-    if tracked:
+def _next(out: Path, recording: Any, calibration: Path | None) -> str:
+    if recording.is_tracked:
         return next_step("dataset", out, "-o", "DATASET")
-    return next_step("track", out, *(() if calibration else ("--calibration", "calibration.json")))
+    filmed = () if recording.video(1) else ("--video", "VIDEO")
+    calibrated = () if calibration else ("--calibration", "calibration.json")
+    return next_step("track", out, *filmed, *calibrated)
 
 
 @contextmanager

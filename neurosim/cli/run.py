@@ -137,6 +137,7 @@ def run(
         "stopped": report["stopped"],
         "guard": report["guard"],
         "completes": report["actual"]["completes"],
+        "reason": report["actual"]["reason"],
         "fitness": {
             "predicted": report["predicted"]["fitness"],
             "actual": report["actual"]["fitness"],

@@ -54,6 +54,9 @@ class Plan(Controller):
                 f"a plan's commands have {len(self.names)} numbers ({', '.join(self.names)}): give "
                 "a unit and limits for each"
             )
+        for name, (least, most) in zip(self.names, self._limits.tolist(), strict=True):
+            if least > most:
+                raise UserError(f"limits: the least {name}, {least:g}, is above the most, {most:g}")
         low, high = self.durations
         if low > high:
             raise UserError(f"the shortest duration, {low:g} s, is above the longest, {high:g} s")

@@ -70,7 +70,8 @@ def curves(
                 x[shown], y[shown], label=name, color=INK[_THREE[number % 3]],
                 ls=_DASHES[number % 3], marker="o" if len(x) == 1 else None,
             )  # fmt: skip
-        axes.set_yscale("log")
+        if any((np.asarray(y, float) > 0.0).any() for _, y in lines.values()):
+            axes.set_yscale("log")
         axes.set_xlabel("generation")
         axes.set_ylabel(axis)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))

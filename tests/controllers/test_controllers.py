@@ -309,5 +309,7 @@ def test_a_plan_of_a_car_has_its_numbers_and_holds_its_steering_when_it_stops(tm
     (tmp_path / "plan" / "controller.json").write_text(json.dumps(content))
     with pytest.raises(FileError, match=r"'commands\[1\]': expected 3 numbers, found 2"):
         read_controller(tmp_path / "plan")
+    with pytest.raises(UserError, match=r"the least steer, 0\.4, is above the most, -0\.4"):
+        Plan(**{**CAR, "limits": ((0.0, 1.0), (0.4, -0.4))})
     with pytest.raises(UserError, match=r"2 numbers \(speed, steer\): give a unit and limits"):
         Plan(**{**CAR, "limits": ((0.0, 1.0),)})
