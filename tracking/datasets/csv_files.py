@@ -157,7 +157,10 @@ def import_csv(
         if not made:
             _explain(tables[0].path, drives[0], left_out, settings)
         moved = suspicious.moved_in(drives)
-        if conventions.angle == "rad" and any(_turns_widely(table) for table in tables):
+        degrees = conventions.angle == "rad" and any(_turns_widely(table) for table in tables)
+        likely = degrees and any(_in_degrees(table) for table in tables)
+        found = suspicious.suspicions(moved, commands, units, conventions) if degrees else []
+        if likely or any("--angle" in sentence for sentence in found):
             other = replace(conventions, angle="deg")
             both = zip(names, tables, strict=True)
             in_degrees = [
@@ -168,7 +171,7 @@ def import_csv(
             turned = suspicious.moved_in(in_degrees)
             # Fast turns in radians have large steps, too, but fit the way.
             degrees = suspicious.fit_better(turned, moved, commands)
-            if degrees and any(_in_degrees(table) for table in tables):
+            if degrees and likely:
                 drives, moved, read = in_degrees, turned, other
         counting = suspicious.counting(moved, commands)
         sent = [name for name in commands if name not in counters]

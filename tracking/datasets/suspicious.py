@@ -161,7 +161,8 @@ def suspicions(
     by_units = _units(moved, names, units, given, read or given, degrees)
     # Headings in another unit are no way to go; otherwise a wrong way is no unit.
     sideways = [] if any("--angle" in one for one in by_units) else _sideways(moved, names)
-    of_motion = sideways or [*by_units, *_turns(moved, names, units, given)]
+    turns = _turns(moved, names, units, given)
+    of_motion = sideways or [*by_units, *turns] or _backwards(moved, names, units)
     return [*_constant(moved, names), *of_motion]
 
 
@@ -388,17 +389,20 @@ def _turns(
             f"the robot turns the other way than {name} says: does y point to the {other} "
             f"(--y {other})? If only {name} counts clockwise, change its sign"
         ]
-    if len(names) < 3 and -_OBEYS < _gains(moved, names, units).get("m/s", 0.0) < -1 / _OBEYS:
-        name = next(name for name in names if units.get(name) == "m/s")
-        return [
-            f"the robot goes backwards where {name} is above 0: do its headings point backwards?"
-        ]
     if track is not None and track[1] < 0:
         return [
             "the robot turns left where `left` is the faster: are left and right exchanged in "
             f"--columns, or does y point to the {other} (--y {other})?"
         ]
     return []
+
+
+def _backwards(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    """Return a sentence about a robot of two commands whose speed has the other sign, if any."""
+    if len(names) > 2 or not -_OBEYS < _gains(moved, names, units).get("m/s", 0.0) < -1 / _OBEYS:
+        return []
+    name = next(name for name in names if units.get(name) == "m/s")
+    return [f"the robot goes backwards where {name} is above 0: do its headings point backwards?"]
 
 
 def always_changing(logs: Sequence[Log], names: Sequence[str], sent: Sequence[str]) -> list[str]:
