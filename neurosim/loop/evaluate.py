@@ -26,6 +26,7 @@ from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import on_cores, one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
+from neurosim.controllers.plan import FixedPlan, Plan
 from neurosim.controllers.registry import make_controller
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
@@ -330,7 +331,8 @@ def _check_columns(simulator: Simulator, controller: Controller) -> None:
             f"takes {', '.join(wanted)}; use one that was made from such commands"
         )
     known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
-    for name, unit in zip(given, getattr(controller, "units", ()), strict=False):
+    units = controller.units if isinstance(controller, FixedPlan | Plan) else ()
+    for name, unit in zip(given, units, strict=False):
         if known.get(name) and known[name] != unit:
             raise UserError(
                 f"the controller ({controller.kind}) gives {name} in {unit}, but this simulator "
