@@ -188,7 +188,7 @@ def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
     with pytest.raises(UserError, match="continue it"):
         run(case, tmp_path / "out")
     run(case, tmp_path / "out", resume=True)
-    with pytest.raises(UserError, match="continue it"):
+    with pytest.raises(UserError, match="not empty"):
         run(case, tmp_path / "out", resume=True)
 
 
