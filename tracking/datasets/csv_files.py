@@ -159,8 +159,8 @@ def import_csv(
         moved = suspicious.moved_in(drives)
         degrees = conventions.angle == "rad" and any(_turns_widely(table) for table in tables)
         likely = degrees and any(_in_degrees(table) for table in tables)
-        found = suspicious.suspicions(moved, commands, units, conventions) if degrees else []
-        if likely or any("--angle" in sentence for sentence in found):
+        advice = suspicious.suspicions(moved, commands, units, conventions) if degrees else []
+        if likely or any("--angle" in sentence for sentence in advice):
             other = replace(conventions, angle="deg")
             both = zip(names, tables, strict=True)
             in_degrees = [
