@@ -18,7 +18,7 @@ import numpy as np
 from neurosim.base.perimeter import UNSEEN, Perimeter
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Observation, SeeingSource
-from neurosim.recording.session import BATTERY_EVERY, LINES, Session
+from neurosim.recording.session import BATTERY_EVERY, BEGIN_AGAIN, LINES, Session
 from neurosim.robots.base import (
     Counters,
     Robot,
@@ -116,7 +116,7 @@ class ClosedLoopSession(Session):
         deadlines: late commands so far.
     """
 
-    go_on = "at its start and begin again"
+    go_on = BEGIN_AGAIN
 
     def __init__(
         self,

@@ -28,7 +28,7 @@ from neurosim.base.perimeter import EDGE, LINE, UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.agreement import SLOWEST_GUARDED, Agreement, Pictures
 from neurosim.recording.by_hand import Hand
-from neurosim.recording.commands import Command, CommandSource, SeeingSource
+from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import PositionGuard, Stop
 from neurosim.recording.settings import RecordSettings
@@ -100,6 +100,10 @@ class _Todo:
     attempt: int = 1
 
 
+#: Advice for a user after an interrupted trial.
+BEGIN_AGAIN = "at its start and begin again, in a new folder"
+
+
 class Session:
     """One session: from the flash at its start to the flash at its end.
 
@@ -142,6 +146,9 @@ class Session:
         self._robot = robot
         self._clock = robot.clock
         self._source = source
+        trial = isinstance(source, FixedCommands) and source.how["kind"] == "fixed"
+        if trial and settings.guard.at_line != "return":
+            self.go_on = BEGIN_AGAIN
         self._settings = settings
         self._guard = settings.guard
         self._log = log

@@ -253,6 +253,13 @@ def test_a_low_battery_pauses_and_says_so(tmp_path):
     assert run(tmp_path / "r", FakeRobot(), 2, resume=True).meta["complete"] is True
 
 
+def test_a_low_battery_before_a_plan_says_to_begin_again(tmp_path):
+    plan = FixedCommands([Command((20.0, 20.0), 1.0)] * 2)
+    guarded = {"guard": Guard("end")}
+    with pytest.raises(BatteryLow, match=r"put the robot at its start and begin again, in a new"):
+        run(tmp_path / "r", FakeRobot(volts=6.0), 2, plan, settings=guarded)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, LinkLost("gone")])
 def test_the_motors_are_stopped_whatever_happens(tmp_path, error):
     class Faulty(FakeRobot):
