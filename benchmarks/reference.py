@@ -25,7 +25,7 @@ REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("dataset", type=Path, nargs="?", default=REFERENCE)
-    parser.add_argument("--members", type=int, default=8)
+    parser.add_argument("--members", type=int, default=16)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
