@@ -86,13 +86,18 @@ def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
     return (*task.placed(simulator).reading_names, *goals)
 
 
+def units_of(simulator: Any) -> dict[str, str]:
+    """Return the units of a simulator's inputs by name; empty if it does not know them."""
+    return {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
+
+
 def _within(simulator: Any) -> dict[str, Any]:
     """Return settings of plans, with defaults limited to a simulator's data."""
     settings: dict[str, Any] = {}
     *names, last = simulator.command_names
     if last != "duration":
         return settings
-    known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
+    known = units_of(simulator)
     percent = all(known.get(name, "%") == "%" for name in names)
     if (*names, last) == COMMAND_NAMES and percent:
         speeds = [simulator.domain[name] for name in names if name in simulator.domain]

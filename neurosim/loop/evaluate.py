@@ -27,7 +27,7 @@ from neurosim.base.threads import on_cores, one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.controllers.plan import FixedPlan, Plan
-from neurosim.controllers.registry import make_controller
+from neurosim.controllers.registry import make_controller, units_of
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
@@ -330,10 +330,10 @@ def _check_columns(simulator: Simulator, controller: Controller) -> None:
             f"the controller ({controller.kind}) gives {', '.join(given)}, but this simulator "
             f"takes {', '.join(wanted)}; use one that was made from such commands"
         )
-    known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
+    known = units_of(simulator)
     units = controller.units if isinstance(controller, FixedPlan | Plan) else ()
     for name, unit in zip(given, units, strict=False):
-        if known.get(name) and known[name] != unit:
+        if known.get(name) and unit not in ("1", known[name]):  # 1: the file names none
             raise UserError(
                 f"the controller ({controller.kind}) gives {name} in {unit}, but this simulator "
                 f"takes it in {known[name]}; make it for the simulator, as by "

@@ -163,7 +163,8 @@ def suspicions(
     sideways = [] if any("--angle" in one for one in by_units) else _sideways(moved, names)
     turns = _turns(moved, names, units, given)
     of_motion = sideways or [*by_units, *turns] or _backwards(moved, names, units)
-    return [*_constant(moved, names), *of_motion]
+    of_commands = (*_constant(moved, names), *_rare(moved, names), *_neutral(moved, names))
+    return [*of_commands, *of_motion]
 
 
 def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
@@ -171,7 +172,6 @@ def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
     for name, column in zip(names, moved.commands.T, strict=True):
         if (column == column[0]).all():
             warnings.append(f"the command {name} never changes: leave it out of --columns")
-    warnings += [*_rare(moved, names), *_neutral(moved, names)]
     if (moved.twist == 0).all():
         warnings.append(
             "the robot never moves: look whether x, y and heading are the right --columns"
@@ -248,10 +248,12 @@ def _sideways(moved: Moved, names: Sequence[str]) -> list[str]:
     """Return a sentence if a robot of two commands goes sideways; its speeds then say nothing."""
     if len(names) > 2 or (off := off_heading(moved)) < _ASIDE:
         return []
+    other = "is the tracked point far from the axle"
+    if moved.apart is None:
+        other = "are dx and dy in the room's frame (--frame world)"
     return [
         f"the robot goes {math.degrees(off):.0f} degrees off its headings (median): are x and y "
-        "swapped, is one mirrored, or is heading 0 not along x? Headings grow from x to y; "
-        + ("or is the tracked point far from the axle?" if moved.apart else "or is --frame world?")
+        f"swapped, is one mirrored, is heading 0 not along x, or {other}? Headings grow from x to y"
     ]
 
 
