@@ -8,7 +8,7 @@ from motion_networks import random_motion_network
 from synthetic_robot import random_commands
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import make_controller
+from neurosim.controllers import Plan, make_controller
 from neurosim.loop.evaluate import evaluate
 from neurosim.simulators.base import check_commands
 from neurosim.simulators.motion.domain import Domain
@@ -157,3 +157,4 @@ def test_plans_of_wheels_in_another_unit_have_the_limits_of_their_simulator(unit
         task = NineRectangles()
         with pytest.raises(UserError, match="gives left in %, but this simulator takes it in m/s"):
             evaluate(simulator, task, make_controller("plan"))
+        evaluate(simulator, task, Plan(units=("1", "1")))  # a file that names no unit
