@@ -263,6 +263,18 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
         lock.release()
 
 
+def check_free(folder: str | Path, doing: str) -> None:
+    """Raise an error for a folder that another process has locked; see :func:`locked`.
+
+    Raises:
+        UserError: naming the process.
+    """
+    if (Path(folder) / _LOCK).exists():
+        # A folder that cannot be written has the lock of a process that has ended.
+        with suppress(PermissionError), locked(folder, doing):
+            pass
+
+
 def check_new_file(path: Path, what: str, *, overwrite: bool = False) -> None:
     """Raise an error for an output file that would overwrite another one.
 

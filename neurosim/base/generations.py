@@ -14,7 +14,7 @@ from neurosim.base.progress import Progress
 
 #: Seconds between checkpoints, the most that a kill loses.
 CHECKPOINT_EVERY = 5.0
-#: After this time, s, a message says that the first generation is being compiled.
+#: After this time, s, a message explains why a computation is slow.
 COMPILES_AFTER = 4.0
 
 
@@ -47,10 +47,20 @@ def compiling_notice(what: str, say: Callable[[str], None] | None = None) -> thr
         what: the computation: "the first generation".
         say: takes the message; by default it goes to stderr.
     """
-    message = (
+    return slow_notice(
         f"{what} is under way; the first time on a computer its loops are compiled, which takes "
-        "up to half a minute and is kept"
+        "up to half a minute and is kept",
+        say,
     )
+
+
+def slow_notice(message: str, say: Callable[[str], None] | None = None) -> threading.Timer:
+    """Start a timer whose message explains a slow computation; cancel it to prevent this.
+
+    Args:
+        message: the message.
+        say: takes it; by default it goes to stderr.
+    """
     timer = threading.Timer(COMPILES_AFTER, say or _to_stderr, (message,))
     timer.daemon = True
     timer.start()

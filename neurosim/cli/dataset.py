@@ -10,6 +10,7 @@ import click
 
 from neurosim.base.declared import Delay, Seconds
 from neurosim.base.errors import UserError, counted
+from neurosim.base.files import check_free
 from neurosim.cli._common import emit, is_given, json_option, next_step
 from neurosim.cli._types import PATH, Listed, Pairs, ranged
 
@@ -190,6 +191,8 @@ def dataset(
             option = "--" + name.replace("_", "-")
             raise UserError(f"{option} is for --from {' or '.join(sources)}, not {source}")
     if source == "recording":
+        for folder in recordings:
+            check_free(folder, "recorded into")
         parts = [part for folder in recordings for part in parts_of(folder)]
         made = build(
             parts,

@@ -44,6 +44,9 @@ from neurosim.cli._realities import (
 from neurosim.cli._robots import without_camera
 from neurosim.cli._types import PATH, ranged
 
+#: Probability of success below which a plan should be evolved robustly before it is driven.
+_LIKELY = 0.5
+
 
 def _task(chosen: Chosen) -> Any:
     """Return the chosen task, with the settings of its file or its defaults."""
@@ -112,10 +115,6 @@ def changed(
     if not isinstance(simulator, InPlace):
         raise UserError(f"a simulator of the kind {simulator.kind} has no --noise")
     return simulator.changed(noise=noise)
-
-
-#: Probability of success below which a plan should be evolved robustly before it is driven.
-_LIKELY = 0.5
 
 
 @click.command(
@@ -351,10 +350,11 @@ def _say(
     }
     fitness, chance = best.predicted["fitness"], best.predicted.get("probability")
     if best.given:
-        verdict = "completes the task" if best.predicted["completes"] else "does not complete it"
+        verdict = "completes" if best.predicted["completes"] else "does not complete"
         text = (
             f"{paths[0]}: {counted(len(best.given), 'command')}, fitness {fitness:z.4g}, "
-            f"{verdict} in the simulator; {complete} of {runs} runs found a plan that does.\n"
+            f"{verdict} the task in the simulator; {complete} of {runs} runs found a plan that "
+            "completes it.\n"
         )
     else:
         spread = best.predicted.get("spread")

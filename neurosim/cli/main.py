@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import os
 import sys
 import traceback
@@ -197,9 +198,14 @@ def _interrupted() -> NoReturn:
     sys.exit(exit_code())
 
 
+#: What may follow the name of an output of which something has been saved.
+_BEGUN = ("", ".checkpoint")
+
+
 def _again(command: click.Command | None) -> str:
     """Return how a command continues after an interruption; empty if it does not."""
-    if command is None:
+    given = [value for name, value in itertools.pairwise(sys.argv) if name in ("-o", "--out")]
+    if command is None or (given and not any(Path(given[-1] + end).exists() for end in _BEGUN)):
         return ""
     if any(option.name == "resume" for option in command.params):
         return "; to continue, run the command again with --resume"

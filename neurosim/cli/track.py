@@ -9,6 +9,7 @@ import click
 
 from neurosim.base.declared import Coordinate
 from neurosim.base.errors import UserError
+from neurosim.base.files import check_free
 from neurosim.cli._common import (
     COLOUR_NAMES,
     calibration_option,
@@ -163,6 +164,7 @@ def track(
             )
         if all_tags:
             raise UserError("--all-tags is for video files; choose a recording's tag with --tag")
+        check_free(recording, "recorded into")
         known = marker_settings(markers, tag=tag, recorded=Recording(recording).meta["markers"])
         result = track_(
             recording, None, calibration, overlay, videos, markers=known,

@@ -11,6 +11,9 @@ from neurosim.cli._common import emit, json_option, next_step, seed_option, tens
 from neurosim.cli._options import SettingsCommand, choice_options, settings_options
 from neurosim.cli._types import PATH
 
+#: Fraction of the variance of the motion below which commands explain almost nothing.
+_EXPLAINED = 0.2
+
 
 @click.command(cls=SettingsCommand)
 @click.argument("dataset", type=PATH)
@@ -124,10 +127,6 @@ def _sensors_in_words(readings: dict[str, Any] | None) -> str:
             f"{one['rms']:.3f}.\n"
         )
     return words
-
-
-#: Fraction of the variance of the motion below which commands explain almost nothing.
-_EXPLAINED = 0.2
 
 
 @click.command()

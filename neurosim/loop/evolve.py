@@ -22,7 +22,7 @@ from neurosim.base.cluster import Name
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.base.files import check_new_folder
-from neurosim.base.generations import run_generations
+from neurosim.base.generations import run_generations, slow_notice
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
 from neurosim.base.scalars import Scalars
@@ -458,7 +458,13 @@ def evolve(
 
     def results(interrupted: bool) -> list[SavedController]:
         details = about | _in_reality(evolution.real, None if interrupted else reality, seed)
-        return evolution.results(interrupted, made_in, details)
+        slow = slow_notice("the controllers found are being tried in further random samples")
+        if not progress:
+            slow.cancel()
+        try:
+            return evolution.results(interrupted, made_in, details)
+        finally:
+            slow.cancel()
 
     def trials_in(folder: Path) -> AbstractContextManager[Journal | None]:
         if reality is None or not real_generations:

@@ -100,9 +100,9 @@ class _Tried:
         )
         if 2 * late > STEP:
             sentence += (
-                f": too slow for a closed-loop controller with steps of {STEP:g} s; use a "
-                "cable in place of a radio, raise --baud on a serial line, or give the task longer "
-                "steps"
+                f": enough for plans, too slow for closed-loop controllers with steps of {STEP:g} "
+                "s; for these use a cable in place of a radio, raise --baud on a serial line, or "
+                "give the task longer steps"
             )
             return Finding("latency", "wrong", sentence, measured)
         return Finding("latency", "good", sentence, measured)

@@ -307,8 +307,12 @@ def test_a_folder_is_one_process_own(tmp_path):
         )
         with pytest.raises(UserError, match=says), files.locked(tmp_path, "recorded into"):
             pass
+        with pytest.raises(UserError, match=says):
+            files.check_free(tmp_path, "recorded into")
     finally:
         child.communicate(b"\n")
+    assert list(tmp_path.iterdir()) == []
+    files.check_free(tmp_path, "recorded into")
     assert list(tmp_path.iterdir()) == []
     with files.locked(tmp_path, "recorded into"):
         assert [path.name for path in tmp_path.iterdir()] == [".lock"]

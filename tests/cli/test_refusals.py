@@ -14,7 +14,7 @@ from khepera_data import made_up
 from patience import PATIENCE, wait_until
 from processes import neurosim, started
 
-from neurosim.base.files import write_csv, write_json
+from neurosim.base.files import locked, write_csv, write_json
 from neurosim.cli.main import cli, main, run_plugin
 from neurosim.lab import VirtualRig
 from neurosim.robots.registry import ROBOTS
@@ -336,6 +336,13 @@ def test_a_time_that_is_none(monkeypatch, capsys, seconds):
 # Recordings and videos
 
 
+def test_a_recording_that_another_process_makes(refused, tmp_path):
+    (tmp_path / "recording").mkdir()
+    with locked(tmp_path / "recording", "recorded into"):
+        for words in (["track", "recording"], ["dataset", "recording", "-o", "new"]):
+            assert f"recording is being recorded into by process {os.getpid()}" in refused(*words)
+
+
 def test_a_folder_that_is_not_empty(refused, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "precious").write_text("x")
@@ -551,6 +558,22 @@ def test_ctrl_c_within_compiled_code_is_an_interruption_however_often_it_is_wrap
     assert stop.value.code == 130
     assert message.count("\n") == 1
     assert "run the command again with --resume" in message
+
+
+@pytest.mark.parametrize("begun", ["", "new", "new.checkpoint"])
+def test_an_interruption_names_resume_where_something_was_saved(
+    begun, monkeypatch, capsys, tmp_path
+):
+    def interrupted(**_):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / begun).mkdir(exist_ok=True)
+    monkeypatch.setattr(cli, "main", interrupted)
+    monkeypatch.setattr(sys, "argv", ["neurosim", "evolve", "simulator", "-o", "new"])
+    with pytest.raises(SystemExit):
+        main()
+    assert ("--resume" in capsys.readouterr().err) == bool(begun)
 
 
 def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):

@@ -3,6 +3,7 @@
 import os
 import signal
 from dataclasses import replace
+from time import sleep
 
 import numpy as np
 import pytest
@@ -271,3 +272,16 @@ def test_other_weights_in_the_same_folder_are_not_gone_on_with(tmp_path, interru
         begun(resume=True)
     weights.write_bytes(kept)
     assert not begun(resume=True)[0].evolution["interrupted"]
+
+
+@pytest.mark.parametrize("progress", [True, False])
+def test_an_estimate_that_takes_long_is_explained(progress, monkeypatch, capsys):
+    def slow(*_):
+        sleep(0.5)
+        return []
+
+    monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
+    monkeypatch.setattr("neurosim.loop.evolve.Evolution.results", slow)
+    simulator, task, controller, settings = CASES["plans"]
+    evolve(simulator(), task, controller, settings=settings, progress=progress)
+    assert ("in further random samples" in capsys.readouterr().err) == progress

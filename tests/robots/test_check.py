@@ -136,7 +136,7 @@ def test_a_robot_that_does_not_stop_by_itself_is_found(monkeypatch):
 
 def test_a_slow_line_is_found():
     result = lines(baud=2400)
-    assert "too slow for a closed-loop controller" in wrong(result)["latency"]
+    assert "too slow for closed-loop controllers" in wrong(result)["latency"]
     assert result["latency"].measured["latency_ms"] > 100
 
 
