@@ -672,7 +672,7 @@ class Composition(Format):
         kernel_units: number of units of the Gaussian process.
         process: weights of the Gaussian process.
         floor: the floor, where the rows tell of it.
-        drift: lag of sideways motion, s; 0: none.
+        drift: lag of the drift and the loss of speed in curves, s; 0: none.
     """
 
     actuators: dict[str, dict[str, float]]

@@ -93,7 +93,7 @@ def _composition(simulator: Artefact) -> list[Block]:
         f"answered after {1000 * made['delay']:.0f} ms"
     )
     if made.get("drift"):
-        words += f"; sideways motion has a lag of {made['drift']:.2g} s"
+        words += f"; drift and loss of speed in curves have a lag of {made['drift']:.2g} s"
     if made.get("floor"):
         words += (
             f"; the slip differs by {made['floor']['sd']:.1%} of the motion (standard deviation) "

@@ -61,7 +61,7 @@ def chains(rng, rows=60, breaks=(0, 25)):
 def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
     rows, x = chains(np.random.default_rng(0))
     kinematics = drive_model().kinematics.clone()
-    kinematics[3, 1] = -0.3
+    kinematics[3, :2] = torch.tensor([-0.2, -0.3])
     late = torch.tensor([drift], dtype=torch.float64)
     model = replace(drive_model(), kinematics=kinematics, drift=late)
     rows = replace(rows, drift=drift)
@@ -88,7 +88,7 @@ def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
         assert features[row == i].sum(0)[:2] == pytest.approx(sum(pieces)[0, :2], abs=1e-9)
         assert lasts[row == i].sum() == pytest.approx(float(time))
         # The drift does a little.
-        assert under.drift[i] == pytest.approx(state.drift[0], abs=0.01)
+        assert under.drift[i].tolist() == pytest.approx(state.drift[0].tolist(), abs=0.01)
         # Neither do the pending commands.
         again = Underway(*(part[i : i + 1] for part in under))
         assert model.reached(again, goal, time)[0] == pytest.approx(
@@ -223,20 +223,21 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
 def ship(seconds, lag, held, dt=0.05):
     """Return the log of a ship that answers within seconds and drifts with this lag, s.
 
-    Its commands are held for some steps, from one to another number of them.
+    A turn costs it speed with the same lag. Its commands are held for some steps, from one to
+    another number of them.
     """
     rng, steps = np.random.default_rng(4), 25
     count, h = round(seconds / dt), dt / steps
     commands = rng.uniform((0.2, -1.0), (1.0, 1.0), (count, 2))
     commands = np.repeat(commands, rng.integers(*held, count), axis=0)[:count]
-    speed, aside, pose, poses = np.zeros(2), 0.0, np.zeros(3), []
+    speed, late, pose, poses = np.zeros(2), np.zeros(2), np.zeros(3), []
     for command in commands:
         poses.append(pose)
         for _ in range(steps):
             speed = speed + (command - speed) * h / np.array([1.5, 0.8])
-            steady = -0.5 * speed[0] * speed[1]
-            aside = steady if lag == 0.0 else aside + (steady - aside) * h / lag
-            twist = np.array([0.8 * speed[0], aside, 0.6 * speed[1]])
+            steady = np.array([-0.3 * speed[1], -0.5 * speed[0]]) * speed[1]
+            late = steady if lag == 0.0 else late + (steady - late) * h / lag
+            twist = np.array([0.8 * speed[0] + late[0], late[1], 0.6 * speed[1]])
             pose = se2.compose(pose, se2.exp(h * twist))
     poses = np.array(poses) + rng.normal(0, (0.002, 0.002, 0.002), (count, 3))
     seen = np.ones(count, bool)
@@ -251,11 +252,13 @@ def test_a_ships_drift_is_learned(seconds, held, lag):
     assert data.meta["windows"] == (held[0] < 10)
     simulator = learn(training_data(data), 0, members=1, noise=False)
     assert float(simulator.drive.drift) == pytest.approx(lag, rel=0.25)
-    assert ("drift" in simulator.state_names) == (lag > 0.0)
+    assert ("drift_x" in simulator.state_names) == (lag > 0.0)
     if lag:
         plain = learn(training_data(data), 0, members=1, noise=False, without=("drift",))
         off, more = (compare(one, data, data).errors() for one in (simulator, plain))
-        assert off["dy"]["mean_absolute_error"] < 0.7 * more["dy"]["mean_absolute_error"]
+        # That it stood first, what no row tells, is a part of the error ahead.
+        for name, less in (("dx", 0.8), ("dy", 0.2)):
+            assert off[name]["mean_absolute_error"] < less * more[name]["mean_absolute_error"]
 
 
 @pytest.mark.slow

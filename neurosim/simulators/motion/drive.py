@@ -21,8 +21,8 @@ make a body twist, linearly: a differential drive, an omnidirectional base and a
 steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
-A ship that turns drifts outwards, but not at once (Fossen 2011, section 6.5): its sideways speed
-approaches that of the twist with a lag of its own, from piece to piece.
+A ship that turns drifts outwards and loses speed, but not at once (Fossen 2011, section 6.5): what
+products and losses add to its velocity comes with a lag of its own, from piece to piece.
 
 So the actuators' state at the beginning of a command (:class:`Underway`) has all effects of the
 earlier commands, and speeds and distances at any instant follow in closed form. The pose follows
@@ -99,7 +99,7 @@ class Underway(NamedTuple):
         goals: of the earlier commands, the oldest first, [B, N, C].
         acts: times at which these begin to act, [B, N] s since the command began. Those at 0 or
             below act already; the actuators follow the last of them.
-        drift: sideways speed, [B, 1] m/s; [B, 0] if it has no lag of its own.
+        drift: velocity by products and losses, [B, 2] m/s; [B, 0] if it has no lag of its own.
     """
 
     speed: Tensor
@@ -150,7 +150,8 @@ class DriveModel:
         modes: goals of the laws by goals of the actuators, [C, C]; by default the laws are those of
             the actuators.
         drag: quadratic drag, as a fraction of linear drag at full speed, [C]; zeros by default.
-        drift: time constant of the sideways motion, [1] s; 0, the default: it has no lag.
+        drift: time constant of the velocity by products and losses, [1] s; 0, the default: it has
+            no lag.
         slots: largest number of pending or acting commands when another one begins.
     """
 
@@ -232,14 +233,14 @@ class DriveModel:
         Args:
             speed: of the actuators.
             goal: of the acting command, [B, C]; None: to continue at that speed.
-            drift: sideways speed as in :class:`Underway`; None: what it is at lasting speeds.
+            drift: as in :class:`Underway`; None: what it is at lasting speeds.
         """
         waits = int(self.slots > 0)
         goals = (speed if goal is None else goal).unsqueeze(1)[:, :waits]
         acts = speed.new_zeros(len(speed), waits)
         if drift is None:
             steady = motion_features(speed, torch.ones_like(speed[:, 0]), self.turning)
-            drift = (steady @ self.twists)[:, 1 : 1 + self.drifts]
+            drift = self._late(steady)[:, : 2 * self.drifts]
         return Underway(speed, torch.zeros_like(speed), goals, acts, drift)
 
     def approach(
@@ -471,12 +472,17 @@ class DriveModel:
             twist = features @ self.twists
             if self.drifts:
                 lasts = lasts.unsqueeze(1)
-                aside, steady = twist[:, 1:2], twist[:, 1:2] / lasts.clamp(min=1e-9)
+                steady = self._late(features) / lasts.clamp(min=1e-9)
                 then = steady + (drift - steady) * torch.exp(-lasts / self.drift)
-                aside = aside - self.drift * (then - drift)
-                twist, drift = torch.cat([twist[:, :1], aside, twist[:, 2:]], 1), then
+                moved = twist[:, :2] - self.drift * (then - drift)
+                twist, drift = torch.cat([moved, twist[:, 2:]], 1), then
             twists.append(twist)
         return twists, drift
+
+    def _late(self, features: Tensor) -> Tensor:
+        """Return the part of twists' translation [B, 2] by products and losses."""
+        count = len(self.lag)
+        return features[:, count:] @ self.twists[count:, :2]
 
 
 def curvature(command: Tensor) -> Tensor:

@@ -35,8 +35,8 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
-#: Oldest version that can be read: in earlier ones the dead band has another name.
-_OLDEST = 9
+#: Oldest version that can be read: in earlier ones a drift is of sideways motion alone.
+_OLDEST = 13
 
 #: The tensors of kernel units, and of an excess.
 KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "believed")

@@ -119,15 +119,15 @@ class MotionModel(NamedTuple):
 def scratch(a):
     """Return the work arrays of :func:`step` and :func:`sense`, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
-    under = (2 + a.slots) * actuators + a.slots + (a.drift[0] > 0.0)
-    size = 2 * inputs + (_LAW + 6) * actuators + 2 + under + len(a.exponents[0]) + len(a.centres[0])
+    under = (2 + a.slots) * actuators + a.slots + 2 * (a.drift[0] > 0.0)
+    size = 2 * inputs + (_LAW + 6) * actuators + 3 + under + len(a.exponents[0]) + len(a.centres[0])
     numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
     log2 = numbers[inputs:end]
     law = numbers[end : end + _LAW * actuators].reshape(actuators, _LAW)
     end += _LAW * actuators
-    memory = numbers[end : end + 3 * actuators + 2]
-    end += 3 * actuators + 2
+    memory = numbers[end : end + 3 * actuators + 3]
+    end += 3 * actuators + 3
     began = numbers[end : end + under]
     end += under
     distance = numbers[end : end + 3 * actuators].reshape(3, actuators)
@@ -168,7 +168,8 @@ def step(a, states, command, z, work):
     behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
     drifts = a.drives and a.drift[0] > 0.0
-    excess, time = start + len(began) + drifts, command[a.source[a.duration]] if a.drives else 0.0
+    excess = start + len(began) + 2 * drifts
+    time = command[a.source[a.duration]] if a.drives else 0.0
     for r in range(len(states)):
         own = states[r]
         m = int(own[-1]) + 1 if a.members else 0
@@ -198,6 +199,7 @@ def step(a, states, command, z, work):
                     own[start + i] = began[i]
             if drifts:
                 own[start + len(began)] = memory[3 * count + 1]
+                own[start + len(began) + 1] = memory[3 * count + 2]
             now_x, now_y, now = dx, dy, turn
             if same:
                 gone_x, gone_y, gone = own[behind], own[behind + 1], own[behind + 2]
@@ -388,8 +390,8 @@ def _inputs(a, state, command, memory, began, x):
         a: :class:`MotionModel`.
         state: [S] before the command.
         command: [C or more].
-        memory: [3 actuators + 2], written from the third part on except the last: the speeds and
-            pushes reached, the command, its duration so far (s), and the drift reached.
+        memory: [3 actuators + 3], written from the third part on except the last two: the speeds
+            and pushes reached, the command, its duration so far (s), and the drift reached.
         began: [(2 + slots) actuators + slots], written: speeds and pushes at its beginning, times
             (s) at which the commands pending then act, and their goals; and the drift, if any.
         x: [I], written except derived inputs.
@@ -415,7 +417,7 @@ def _inputs(a, state, command, memory, began, x):
         for i in range(2 * count):
             began[i] = state[3 + i]
         if a.drift[0] > 0.0:
-            began[-1] = state[start + len(began)]
+            began[-2], began[-1] = state[start + len(began)], state[start + len(began) + 1]
         if slots > 0 and lasted > 0.0:
             _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])
     for c in range(count):
@@ -490,7 +492,7 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         began: of :func:`_inputs`.
         law: [C, _LAW] scratch.
         distance: [3, C] scratch.
-        memory: [3 C + 2], written: speeds and pushes at the end, and the drift.
+        memory: [3 C + 3], written: speeds and pushes at the end, and the drift.
         twist: [3], written: of the piece after the speeds have settled.
         moved: [3], written: while they change.
     """
@@ -498,7 +500,8 @@ def phases(a, x, began, law, distance, memory, twist, moved):
     for i in range(2 * count):
         memory[i] = began[i]
     twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
-    px, py, theta, begin, drift = 0.0, 0.0, 0.0, 0.0, began[-1]
+    px, py, theta, begin = 0.0, 0.0, 0.0, 0.0
+    lag, drift_x, drift_y = a.drift[0], began[-2], began[-1]
     for n in range(slots + 1):
         own, until = n == slots, time
         if not own:
@@ -518,38 +521,44 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         end = 0.0
         for k in range(pieces):
             last, end = end, changing * (k + 1) / pieces
-            vx, vy, turn = _twist(a, law, last, end, distance)
-            vy, drift = drifted(a.drift[0], drift, vy, end - last)
-            px, py, theta = se2.compose_exp(px, py, theta, vx, vy, turn)
+            vx, vy, turn, late_x, late_y = _twist(a, law, last, end, distance)
+            late_x, drift_x = drifted(lag, drift_x, late_x, end - last)
+            late_y, drift_y = drifted(lag, drift_y, late_y, end - last)
+            px, py, theta = se2.compose_exp(px, py, theta, vx + late_x, vy + late_y, turn)
         if end < span:
-            twist[0], twist[1], twist[2] = _twist(a, law, end, span, distance)
-            twist[1], drift = drifted(a.drift[0], drift, twist[1], span - end)
+            vx, vy, turn, late_x, late_y = _twist(a, law, end, span, distance)
+            late_x, drift_x = drifted(lag, drift_x, late_x, span - end)
+            late_y, drift_y = drifted(lag, drift_y, late_y, span - end)
+            twist[0], twist[1], twist[2] = vx + late_x, vy + late_y, turn
         for c in range(count):
             memory[c], memory[count + c] = _come(law[c], span, distance[2, c])
     moved[0], moved[1], moved[2] = px, py, theta
-    memory[3 * count + 1] = drift
+    memory[3 * count + 1], memory[3 * count + 2] = drift_x, drift_y
 
 
 @kernel(forceinline=True)
-def drifted(lag, drift, aside, time):
-    """Return sideways motion with its own lag, if any, and the sideways speed then.
+def drifted(lag, drift, moved, time):
+    """Return motion by products and losses with its own lag, if any, and its speed then.
 
     Args:
         lag: s; 0: none.
-        drift: sideways speed at the beginning, m/s.
-        aside: motion without the lag, m.
+        drift: its speed at the beginning, m/s.
+        moved: motion without the lag, m.
         time: its duration, s.
     """
     if lag <= 0.0:
-        return aside, drift
-    steady = aside / max(time, 1e-9)
+        return moved, drift
+    steady = moved / max(time, 1e-9)
     then = steady + (drift - steady) * math.exp(-time / lag)
-    return aside - lag * (then - drift), then
+    return moved - lag * (then - drift), then
 
 
 @kernel(forceinline=True)
 def _twist(a, law, begin, end, distance):
-    """Return the mean twist times the time (m, m, rad) from one instant to another.
+    """Return the mean twist times the time from one instant to another, and how much comes late.
+
+    That is its translation without products and losses, its turn, and the translation by these: m,
+    m, rad, m, m.
 
     Args:
         a: :class:`MotionModel`.
@@ -564,15 +573,15 @@ def _twist(a, law, begin, end, distance):
         left, missed = _follow(law[c], end)
         until = law[c, 11] * end - missed
         distance[1, c], distance[0, c], distance[2, c] = until - distance[0, c], until, left
-    vx, vy, turn, turned = 0.0, 0.0, 0.0, 0.0
+    vx, vy, turn, late_x, late_y, turned = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     place = count
     for c in range(count):
         turned += distance[1, c] * a.turning[c]
     turned = abs(turned) * inverse
     for c in range(count):
         w = distance[1, c]
-        vx += w * turned * a.losses[c, 0]
-        vy += w * turned * a.losses[c, 1]
+        late_x += w * turned * a.losses[c, 0]
+        late_y += w * turned * a.losses[c, 1]
         turn += w * turned * a.losses[c, 2]
         vx += w * a.kinematics[c, 0]
         vy += w * a.kinematics[c, 1]
@@ -580,11 +589,11 @@ def _twist(a, law, begin, end, distance):
         mean = w * inverse
         for d in range(c, count):
             q = mean * distance[1, d] * inverse * span
-            vx += q * a.kinematics[place, 0]
-            vy += q * a.kinematics[place, 1]
+            late_x += q * a.kinematics[place, 0]
+            late_y += q * a.kinematics[place, 1]
             turn += q * a.kinematics[place, 2]
             place += 1
-    return vx, vy, turn
+    return vx, vy, turn, late_x, late_y
 
 
 @kernel(forceinline=True)

@@ -63,6 +63,10 @@ _LINKS, _DIES, _LAGS, _MOST_LINKS = 4, 1.0, 5.0, 40
 COORDINATES = ("displacement", "residual-twist")
 
 
+#: Columns of the state of a robot that drifts, see :class:`Underway`.
+DRIFT = ("began_drift_x", "began_drift_y", "drift_x", "drift_y")
+
+
 class _State(NamedTuple):
     """A state with a drive model in parts, [B, ...], in the order of its columns."""
 
@@ -228,7 +232,7 @@ class MotionNetwork(Simulator):
                 *(f"began_push_{name}" for name in driven),
                 *(f"waiting_{n}_acts" for n in range(drive.slots)),
                 *(f"waiting_{n}_{name}" for n in range(drive.slots) for name in driven),
-                *(("began_drift", "drift") if drive.drifts else ()),
+                *(DRIFT if drive.drifts else ()),
                 *(() if excess is None else EXCESS),
             )
         if self.members > 1:
@@ -441,7 +445,7 @@ class MotionNetwork(Simulator):
         assert self.drive is not None
         count, slots = len(self.columns.driven), self.drive.slots
         sizes = [3, *[count] * 3, 1, 3, DRAWS, *[count] * 2, slots, slots * count]
-        sizes += [int(self.drive.drifts)] * 2
+        sizes += [2 * self.drive.drifts] * 2
         sizes += [0 if self.excess is None else len(EXCESS), int(self.members > 1)]
         return _State(*state.split(sizes, dim=1))
 
@@ -787,7 +791,7 @@ def chain(
 
     The next C columns are the goals of the previous commands, which act until the delay has passed.
     Still earlier commands are assumed to have ended, because otherwise one would be shorter than
-    the delay. Of a robot that drifts, the last column is the drift reached (m/s).
+    the delay. Of a robot that drifts, the last two are the drift reached (m/s).
 
     Args:
         drive: the drive model.

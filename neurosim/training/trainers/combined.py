@@ -127,7 +127,7 @@ class CombinedSettings(Checked):
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``modes`` (these laws for a body that is slower
             than its actuators), ``car`` (a robot that turns only while it drives), ``straight``
-            (speeds proportional to commands), ``drift`` (a lag of sideways motion, as of ships),
+            (speeds proportional to commands), ``drift`` (a lag of products and losses),
             ``dead_band``, ``swing`` (how a caster turns when the direction changes), ``process``
             (the Gaussian process), ``row_weights`` (rows with larger errors count less),
             ``drive_members`` (a drive model for each member), ``floor`` (a map of the slip over the

@@ -95,7 +95,7 @@ _LOWEST = (
 )
 _FASTEST = math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0)
 _HIGHEST = (*_FASTEST, 0.2, *[5.0] * CURVES, 0.5, 10.0)
-#: Lags of sideways motion that are tried, s.
+#: Lags of velocity by products and losses that are tried, s.
 _DRIFTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.1, 1.6, 2.3, 3.2)
 #: First quadratic drag of a search, and the shortest lag (s) of a law that may have it.
 _FIRST_DRAG, _SLUGGISH = 0.5, 0.3
@@ -166,8 +166,8 @@ class Distances(NamedTuple):
     Attributes:
         rows: of whole rows, [P, pieces, K, N].
         within: until the poses within them, [P, pieces, K, L].
-        late: of sideways motion, where it has a lag of its own, as ``rows``.
-        late_within: the same until the poses within.
+        late: the same with a drift, see :func:`follow_late`.
+        late_within: the same until the poses within them.
     """
 
     rows: Tensor
@@ -184,7 +184,7 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         modes: as in DriveModel, [C, C].
-        drift: lag of sideways motion, s.
+        drift: as in DriveModel, s.
         before: the previous command of each, [N, C].
         commanded: the commands, [N, C].
         time: durations, [N] s.
@@ -213,32 +213,33 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
             if drift > 0.0:
                 then = rate.copy()
                 for n in range(_PIECES):
-                    follow_late(drift, pieces[n], lasts[n], then, late[n])
+                    follow_late(drift, count, pieces[n], lasts[n], then, late[n])
                 features.late_within[:, :, k] = late
             k += 1
         _cut(a, turning, begins, goals, time[i], law, distance, reached, pieces, lasts)
         features.rows[:, :, i] = pieces
         if drift > 0.0:
             for n in range(_PIECES):
-                follow_late(drift, pieces[n], lasts[n], rate, late[n])
+                follow_late(drift, count, pieces[n], lasts[n], rate, late[n])
             features.late[:, :, i] = late
 
 
 @kernel()
-def follow_late(lag, features, lasts, rate, late):
-    """Let the features [K] of a piece follow with a lag, as sideways motion does.
+def follow_late(lag, count, features, lasts, rate, late):
+    """Let the products and losses among the features [K] of a piece follow with a lag.
 
-    It is linear in the twist's coefficients; so each feature can follow by itself.
+    Motion is linear in the twist's coefficients; so each feature can follow by itself.
 
     Args:
         lag: s.
+        count: C, number of actuators; the features that follow are those after their distances.
         features: see :func:`motion_features`.
         lasts: its duration, s.
         rate: rates of change of the late features, [K] 1/s, changed to those at the end.
         late: [K], written.
     """
     for f in range(len(rate)):
-        late[f], rate[f] = drifted(lag, rate[f], features[f], lasts)
+        late[f], rate[f] = drifted(lag if f >= count else 0.0, rate[f], features[f], lasts)
 
 
 @njit(error_model="numpy")
@@ -343,7 +344,7 @@ class Motion:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
-        drift: lag of sideways motion of the drive models that are fitted, s; 0: it has none.
+        drift: that of the drive models that are fitted, s.
         precision: reciprocal of the relative size of the errors of turns and of translations, [2,
             N]; None: all are alike.
     """
@@ -455,7 +456,7 @@ class Rows(Protocol):
         modes: of the drive models that are fitted, [C, C].
         steered: whether the prior is that of a car.
         straight: whether the prior holds static curves nearly straight.
-        drift: lag of sideways motion of the drive models that are fitted, s.
+        drift: that of the drive models that are fitted, s.
         belief: gain in log-likelihood for accepting a delay.
     """
 
@@ -544,7 +545,7 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
         band: dead bands, scaled, [C]; found from the rows if not given.
         without: what is left out, though it might fit the rows better: the actuators' ``laws``
             (speeds are reached at once), laws of the body's ``modes``, the prior of a ``car``, that
-            of nearly ``straight`` static curves, and a ``drift``, a lag of sideways motion.
+            of nearly ``straight`` static curves, and a ``drift``, a lag of products and losses.
     """
     fit = _fit_evenly(rows, band, without)
     if fit.searched and "drift" not in without:
@@ -560,7 +561,7 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
 
 
 def _drifting(fit: Fit) -> Fit:
-    """Return the fit with the lag of sideways motion that fits the rows best, if one does."""
+    """Return the fit with the drift that fits the rows best, if one does."""
     searched, costs = fit.rows.some(_ROWS), {}
     for drift in (0.0, *_DRIFTS):
         late = replace(searched, drift=drift)
@@ -568,7 +569,9 @@ def _drifting(fit: Fit) -> Fit:
     best = min(costs, key=costs.__getitem__)
     if costs[0.0] - costs[best] < _INERT:
         return fit
-    return Fit.of(replace(fit.rows, drift=best), fit.band, fit.laws, True)
+    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
+    laws = _again(replace(searched, drift=best), fit.band, fit.laws, *limits, _STEPS)
+    return Fit.of(replace(fit.rows, drift=best), fit.band, laws, True)
 
 
 def _fit_evenly(rows: Rows, band: Tensor | None, without: Collection[str]) -> Fit:
@@ -959,8 +962,8 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         return ahead, aside
 
     moved = se2.mid_turn(y)
-    (ahead, aside), (late_ahead, late_aside) = turned(pieces), turned(late)
-    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-late_aside, late_ahead], 2)], 1)
+    ahead, aside = turned(late)
+    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     target = (moved[:, :2].T * precision[1]).flatten()
     speeds, shifts_left = regressions(both, target, of_shift.repeat(2), weight.repeat(2))
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
@@ -970,7 +973,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         # at most the weight of the rows.
         counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
         forward, sideways, turn = (one[:, None, None] for one in kinematics.unbind(2))
-        twists = torch.stack([forward @ parts, sideways @ late_parts, turn @ parts], -1)
+        twists = torch.stack([forward @ late_parts, sideways @ late_parts, turn @ parts], -1)
         twists = twists.squeeze(2)  # [P, pieces, L, 3]
         steps = se2.exp(twists).unbind(1)
         pose = steps[0]

@@ -207,13 +207,13 @@ def _driven(a, turning, modes, commanded, before, time, joined, features, lasts,
 
 
 @njit(error_model="numpy")
-def _late(features, lasts, row, joined, lag, late, states):
+def _late(features, lasts, row, joined, lag, count, late, states):
     """Let the features of pieces of rows follow with a lag, see :func:`follow_late`.
 
     Args:
         features, lasts, row: of :func:`_driven`.
         joined: whether a row begins at the end of the previous one.
-        lag: s.
+        lag, count: as there.
         late: [M, F], written.
         states: [N, F], written: the rates of change of the features at a row's beginning, 1/s.
     """
@@ -225,7 +225,7 @@ def _late(features, lasts, row, joined, lag, late, states):
             if not joined[last]:
                 rate[:] = features[k] / lasts[k]
             states[last] = rate
-        follow_late(lag, features[k], lasts[k], rate, late[k])
+        follow_late(lag, count, features[k], lasts[k], rate, late[k])
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ class Chains:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
-        drift: lag of sideways motion of the drive models that are fitted, s; 0: it has none.
+        drift: that of the drive models that are fitted, s.
     """
 
     commanded: Tensor
@@ -364,13 +364,13 @@ class Chains:
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
     def late(self, features: Tensor, lasts: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the features of sideways motion [M, F], and the rates at rows' beginnings, [N, F].
+        """Return the features with a drift [M, F], and their rates at rows' beginnings, [N, F].
 
         The arguments are those of :meth:`driven`.
         """
         late, states = features.clone(), torch.zeros(len(self.time), features.shape[1]).double()
         given = (part.numpy() for part in (features, lasts, row, self.joined))
-        _late(*given, self.drift, late.numpy(), states.numpy())
+        _late(*given, self.drift, self.commanded.shape[1], late.numpy(), states.numpy())
         return late, states
 
     def inputs(self, fit: Fit, x: Tensor) -> tuple[Tensor, Underway]:
@@ -380,14 +380,14 @@ class Chains:
             fit: the drive model.
             x: scaled inputs of the whole rows, as given.
         """
-        drive = fit.drive
+        drive, count = fit.drive, self.commanded.shape[1]
         own = replace(self, modes=fit.rows.modes, turning=fit.rows.turning, drift=fit.rows.drift)
         *pieces, states = own.driven(fit.actuators.one(0))
         speed, push = states[self.whole].chunk(2, 1)
         drift = speed[:, :0]
         if drive.drifts:
             rates = own.late(*pieces)[1][self.whole]
-            drift = rates @ drive.twists[: rates.shape[1], 1:2]
+            drift = rates[:, count:] @ drive.twists[count : rates.shape[1], :2]
         goals, before = (
             drive.shaped(outside(part, fit.band)) for part in (self.commanded, self.before)
         )
@@ -456,11 +456,10 @@ class Chains:
             x, y = x[end] - x[first], y[end] - y[first]
             return cos * x - sin * y, sin * x + cos * y
 
-        ahead, aside = turned(features)
-        both = torch.cat([ahead, aside])
         if self.drift > 0.0:
-            ahead, aside = turned(self.late(features, lasts, row)[0])
-        both = torch.cat([both, torch.cat([-aside, ahead])], 1)
+            features = self.late(features, lasts, row)[0]
+        ahead, aside = turned(features)
+        both = torch.cat([torch.cat([ahead, aside]), torch.cat([-aside, ahead])], 1)
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
         speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift.repeat(2), twice)
