@@ -672,7 +672,8 @@ class Composition(Format):
         kernel_units: number of units of the Gaussian process.
         process: weights of the Gaussian process.
         floor: the floor, where the rows tell of it.
-        drift: lag of the drift and the loss of speed in curves, s; 0: none.
+        drift: lags of what products of speeds and losses in curves add to the velocity ahead and
+            aside, s; 0: none.
     """
 
     actuators: dict[str, dict[str, float]]
@@ -680,7 +681,7 @@ class Composition(Format):
     kernel_units: int
     process: Fractions
     floor: Unevenness | None = None
-    drift: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
 
 
 class SensorLearned(Format):

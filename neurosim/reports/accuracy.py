@@ -92,8 +92,9 @@ def _composition(simulator: Artefact) -> list[Block]:
         f"fractions of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
-    if made.get("drift"):
-        words += f"; drift and loss of speed in curves have a lag of {made['drift']:.2g} s"
+    if any(made.get("drift", ())):
+        ahead, aside = made["drift"]
+        words += f"; the loss of speed in curves has a lag of {ahead:.2g} s, drift of {aside:.2g} s"
     if made.get("floor"):
         words += (
             f"; the slip differs by {made['floor']['sd']:.1%} of the motion (standard deviation) "

@@ -57,7 +57,7 @@ def drive_model(seed=0, actuators=2, curved=True, **parts):
         "curve": 0.1 * sampled["curve"] if curved else straight,
         "delay": 0.05 + 0.04 * sampled["delay"],
         "kinematics": torch.tensor([0.15, 0.05, 1.0]) * sampled["kinematics"],
-        "drift": torch.tensor([0.3 * (seed % 2)], dtype=torch.float64),
+        "drift": torch.tensor([0.2, 0.3], dtype=torch.float64) * (seed % 2),
         "modes": torch.eye(actuators) + 0.3 * torch.tanh(normal(seed + 8, *shapes["modes"])),
     }
     return DriveModel(**(result | parts))

@@ -57,12 +57,12 @@ def chains(rng, rows=60, breaks=(0, 25)):
     return Chains.of(x, y, joined, CommandFeatures.of(NAMES), 3.0), x
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.7])
+@pytest.mark.parametrize("drift", [(0.0, 0.0), (0.7, 0.7), (0.0, 0.7), (0.4, 0.7)])
 def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
     rows, x = chains(np.random.default_rng(0))
     kinematics = drive_model().kinematics.clone()
     kinematics[3, :2] = torch.tensor([-0.2, -0.3])
-    late = torch.tensor([drift], dtype=torch.float64)
+    late = torch.tensor(drift, dtype=torch.float64)
     model = replace(drive_model(), kinematics=kinematics, drift=late)
     rows = replace(rows, drift=drift)
     actuators = actuators_of(model)
@@ -88,7 +88,10 @@ def test_rows_are_driven_as_the_drive_model_is_stepped(drift):
         assert features[row == i].sum(0)[:2] == pytest.approx(sum(pieces)[0, :2], abs=1e-9)
         assert lasts[row == i].sum() == pytest.approx(float(time))
         # The drift does a little.
-        assert under.drift[i].tolist() == pytest.approx(state.drift[0].tolist(), abs=0.01)
+        late_now = [own for own, lag in zip(under.drift[i].tolist(), drift, strict=False) if lag]
+        assert late_now == pytest.approx(
+            [own for own, lag in zip(state.drift[0].tolist(), drift, strict=False) if lag], abs=0.01
+        )
         # Neither do the pending commands.
         again = Underway(*(part[i : i + 1] for part in under))
         assert model.reached(again, goal, time)[0] == pytest.approx(
@@ -221,10 +224,10 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
 
 
 def ship(seconds, lag, held, dt=0.05):
-    """Return the log of a ship that answers within seconds and drifts with this lag, s.
+    """Return the log of a ship that answers within seconds and drifts with these lags, s.
 
-    A turn costs it speed with the same lag. Its commands are held for some steps, from one to
-    another number of them.
+    The first is that of what a turn costs it ahead. Its commands are held for some steps, from one
+    to another number of them.
     """
     rng, steps = np.random.default_rng(4), 25
     count, h = round(seconds / dt), dt / steps
@@ -236,7 +239,7 @@ def ship(seconds, lag, held, dt=0.05):
         for _ in range(steps):
             speed = speed + (command - speed) * h / np.array([1.5, 0.8])
             steady = np.array([-0.3 * speed[1], -0.5 * speed[0]]) * speed[1]
-            late = steady if lag == 0.0 else late + (steady - late) * h / lag
+            late = late + (steady - late) * np.minimum(h / np.maximum(lag, 1e-9), 1.0)
             twist = np.array([0.8 * speed[0] + late[0], late[1], 0.6 * speed[1]])
             pose = se2.compose(pose, se2.exp(h * twist))
     poses = np.array(poses) + rng.normal(0, (0.002, 0.002, 0.002), (count, 3))
@@ -245,15 +248,15 @@ def ship(seconds, lag, held, dt=0.05):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [0.0, 1.2])
+@pytest.mark.parametrize("lag", [(0.0, 0.0), (1.2, 1.2), (2.5, 0.8)])
 @pytest.mark.parametrize(("seconds", "held"), [(90.0, (3, 15)), (300.0, (12, 60))])
 def test_a_ships_drift_is_learned(seconds, held, lag):
     data = dataset_of(ship(seconds, lag, held))
     assert data.meta["windows"] == (held[0] < 10)
     simulator = learn(training_data(data), 0, members=1, noise=False)
-    assert float(simulator.drive.drift) == pytest.approx(lag, rel=0.25)
-    assert ("drift_x" in simulator.state_names) == (lag > 0.0)
-    if lag:
+    assert simulator.drive.drift.tolist() == pytest.approx(lag, rel=0.3)
+    assert ("drift_x" in simulator.state_names) == (lag[1] > 0.0)
+    if lag[1]:
         plain = learn(training_data(data), 0, members=1, noise=False, without=("drift",))
         off, more = (compare(one, data, data).errors() for one in (simulator, plain))
         # That it stood first, what no row tells, is a part of the error ahead.

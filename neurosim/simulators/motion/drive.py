@@ -22,7 +22,8 @@ steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, 
 A robot that slips in curves, as with skid steering, loses speed in proportion to the rate of turn:
 the speeds times the magnitude of one of their linear combinations are part of the twist, too.
 A ship that turns drifts outwards and loses speed, but not at once (Fossen 2011, section 6.5): what
-products and losses add to its velocity comes with a lag of its own, from piece to piece.
+products and losses add to its velocity, ahead and aside, comes with lags of its own, from piece to
+piece.
 
 So the actuators' state at the beginning of a command (:class:`Underway`) has all effects of the
 earlier commands, and speeds and distances at any instant follow in closed form. The pose follows
@@ -99,7 +100,7 @@ class Underway(NamedTuple):
         goals: of the earlier commands, the oldest first, [B, N, C].
         acts: times at which these begin to act, [B, N] s since the command began. Those at 0 or
             below act already; the actuators follow the last of them.
-        drift: velocity by products and losses, [B, 2] m/s; [B, 0] if it has no lag of its own.
+        drift: velocity by products and losses, [B, 2] m/s; [B, 0] if it has no lags of its own.
     """
 
     speed: Tensor
@@ -150,8 +151,8 @@ class DriveModel:
         modes: goals of the laws by goals of the actuators, [C, C]; by default the laws are those of
             the actuators.
         drag: quadratic drag, as a fraction of linear drag at full speed, [C]; zeros by default.
-        drift: time constant of the velocity by products and losses, [1] s; 0, the default: it has
-            no lag.
+        drift: time constants of the velocity ahead and aside by products and losses, [2] s; 0, the
+            default: no lag.
         slots: largest number of pending or acting commands when another one begins.
     """
 
@@ -198,7 +199,7 @@ class DriveModel:
                 "lag, slowing, braking and rate must be above 0, the other times and drag not below"
             )
         object.__setattr__(self, "_drags", bool((self.drag > 0.0).any()))
-        object.__setattr__(self, "drifts", float(self.drift) > 0.0)
+        object.__setattr__(self, "drifts", bool((self.drift > 0.0).any()))
         slots = math.ceil(float(self.delay) / SHORTEST_COMMAND - 1e-6)
         object.__setattr__(self, "slots", max(slots, int(float(self.delay) > 0.0)))
 
@@ -208,7 +209,7 @@ class DriveModel:
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
         rest |= {"turning": (count,), "losses": (count, 3), "modes": (count, count)}
-        return {**each, **rest, "drag": (count,), "drift": (1,)}
+        return {**each, **rest, "drag": (count,), "drift": (2,)}
 
     @property
     def twists(self) -> Tensor:

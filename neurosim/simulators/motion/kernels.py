@@ -94,7 +94,7 @@ class MotionModel(NamedTuple):
     losses: np.ndarray  #: [C, 3]
     modes: np.ndarray  #: [C, C]
     drag: np.ndarray  #: [C]
-    drift: np.ndarray  #: [1]
+    drift: np.ndarray  #: [2]
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -119,7 +119,7 @@ class MotionModel(NamedTuple):
 def scratch(a):
     """Return the work arrays of :func:`step` and :func:`sense`, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
-    under = (2 + a.slots) * actuators + a.slots + 2 * (a.drift[0] > 0.0)
+    under = (2 + a.slots) * actuators + a.slots + 2 * (max(a.drift[0], a.drift[1]) > 0.0)
     size = 2 * inputs + (_LAW + 6) * actuators + 3 + under + len(a.exponents[0]) + len(a.centres[0])
     numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
@@ -167,7 +167,7 @@ def step(a, states, command, z, work):
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
     behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
-    drifts = a.drives and a.drift[0] > 0.0
+    drifts = a.drives and max(a.drift[0], a.drift[1]) > 0.0
     excess = start + len(began) + 2 * drifts
     time = command[a.source[a.duration]] if a.drives else 0.0
     for r in range(len(states)):
@@ -416,7 +416,7 @@ def _inputs(a, state, command, memory, began, x):
     if not same:
         for i in range(2 * count):
             began[i] = state[3 + i]
-        if a.drift[0] > 0.0:
+        if max(a.drift[0], a.drift[1]) > 0.0:
             began[-2], began[-1] = state[start + len(began)], state[start + len(began) + 1]
         if slots > 0 and lasted > 0.0:
             _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])
@@ -501,7 +501,7 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         memory[i] = began[i]
     twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
     px, py, theta, begin = 0.0, 0.0, 0.0, 0.0
-    lag, drift_x, drift_y = a.drift[0], began[-2], began[-1]
+    drift_x, drift_y = began[-2], began[-1]
     for n in range(slots + 1):
         own, until = n == slots, time
         if not own:
@@ -522,13 +522,13 @@ def phases(a, x, began, law, distance, memory, twist, moved):
         for k in range(pieces):
             last, end = end, changing * (k + 1) / pieces
             vx, vy, turn, late_x, late_y = _twist(a, law, last, end, distance)
-            late_x, drift_x = drifted(lag, drift_x, late_x, end - last)
-            late_y, drift_y = drifted(lag, drift_y, late_y, end - last)
+            late_x, drift_x = drifted(a.drift[0], drift_x, late_x, end - last)
+            late_y, drift_y = drifted(a.drift[1], drift_y, late_y, end - last)
             px, py, theta = se2.compose_exp(px, py, theta, vx + late_x, vy + late_y, turn)
         if end < span:
             vx, vy, turn, late_x, late_y = _twist(a, law, end, span, distance)
-            late_x, drift_x = drifted(lag, drift_x, late_x, span - end)
-            late_y, drift_y = drifted(lag, drift_y, late_y, span - end)
+            late_x, drift_x = drifted(a.drift[0], drift_x, late_x, span - end)
+            late_y, drift_y = drifted(a.drift[1], drift_y, late_y, span - end)
             twist[0], twist[1], twist[2] = vx + late_x, vy + late_y, turn
         for c in range(count):
             memory[c], memory[count + c] = _come(law[c], span, distance[2, c])
@@ -546,9 +546,9 @@ def drifted(lag, drift, moved, time):
         moved: motion without the lag, m.
         time: its duration, s.
     """
-    if lag <= 0.0:
-        return moved, drift
     steady = moved / max(time, 1e-9)
+    if lag <= 0.0:
+        return moved, steady
     then = steady + (drift - steady) * math.exp(-time / lag)
     return moved - lag * (then - drift), then
 

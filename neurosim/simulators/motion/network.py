@@ -806,7 +806,7 @@ def chain(
     speed, drift = still.speed, still.drift
     # A remaining difference decays within a few commands, or seconds.
     slowest = drive.lag * (drive.slowing * drive.braking.clamp(min=1.0)).clamp(min=1.0)
-    dies = _DIES + _LAGS * max(float(slowest.max()), float(drive.drift))
+    dies = _DIES + _LAGS * float(torch.cat([slowest, drive.drift]).max())
     links = (
         max(_LINKS, min(math.ceil(dies / max(float(time.median()), 1e-3)), _MOST_LINKS))
         if len(x)

@@ -521,7 +521,7 @@ class CombinedTrainer:
             each = map(self._motion.weighted, seen)
             own, without = self._fit.rows, set(self._settings.without)
             chosen = {"modes": own.modes is not None, "car": own.steered, "straight": own.straight}
-            chosen["drift"] = own.drift > 0.0
+            chosen["drift"] = max(own.drift) > 0.0
             without |= {name for name, there in chosen.items() if not there}
             fits = [fit_drive(rows, self._band, without) for rows in each]
         means = []
@@ -850,7 +850,7 @@ class CombinedTrainer:
         return {
             "actuators": actuators,
             "delay": float(drive.delay),
-            "drift": float(drive.drift),
+            "drift": drive.drift.tolist(),
             "swing": self._derived.swing,
             "floor": None if self._floor is None else self._floor.described(),
             "kernel_units": len(self._best.process.centres),

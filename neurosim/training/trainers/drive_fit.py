@@ -166,7 +166,7 @@ class Distances(NamedTuple):
     Attributes:
         rows: of whole rows, [P, pieces, K, N].
         within: until the poses within them, [P, pieces, K, L].
-        late: the same with a drift, see :func:`follow_late`.
+        late: the same with a drift, ahead and aside, [P, 2, pieces, K, N]; see :func:`follow_late`.
         late_within: the same until the poses within them.
     """
 
@@ -184,7 +184,7 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         modes: as in DriveModel, [C, C].
-        drift: as in DriveModel, s.
+        drift: as in DriveModel, [2] s.
         before: the previous command of each, [N, C].
         commanded: the commands, [N, C].
         time: durations, [N] s.
@@ -194,8 +194,8 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
         features: :class:`Distances` of one model, zeros, written; late ones if there is a drift.
     """
     count, terms = commanded.shape[1], features.rows.shape[1]
-    rate, pieces, late = np.zeros(terms), np.zeros((_PIECES, terms)), np.zeros((_PIECES, terms))
-    lasts = np.zeros(_PIECES)
+    rate, late = np.zeros((2, terms)), np.zeros((2, _PIECES, terms))
+    pieces, lasts, drifts = np.zeros((_PIECES, terms)), np.zeros(_PIECES), drift.max() > 0.0
     law, distance = np.empty((count, _LAW)), np.empty(count)
     begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
     k = 0
@@ -204,24 +204,27 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
             goals[0, c] = goal_of(a, modes, before[i], c)
             goals[1, c] = goal_of(a, modes, commanded[i], c)
             begins[c] = reached[c] if follows[i] else goals[0, c]
-        if not follows[i] and drift > 0.0:
-            rate[:count] = goals[0]
-            products_and_losses(turning, 1.0, count, rate)
+        if not follows[i] and drifts:
+            rate[0, :count] = goals[0]
+            products_and_losses(turning, 1.0, count, rate[0])
+            rate[1] = rate[0]
         while k < len(row) and row[k] == i:
             _cut(a, turning, begins, goals, until[k], law, distance, reached, pieces, lasts)
             features.within[:, :, k] = pieces
-            if drift > 0.0:
+            if drifts:
                 then = rate.copy()
-                for n in range(_PIECES):
-                    follow_late(drift, count, pieces[n], lasts[n], then, late[n])
-                features.late_within[:, :, k] = late
+                for d in range(2):
+                    for n in range(_PIECES):
+                        follow_late(drift[d], count, pieces[n], lasts[n], then[d], late[d, n])
+                features.late_within[:, :, :, k] = late
             k += 1
         _cut(a, turning, begins, goals, time[i], law, distance, reached, pieces, lasts)
         features.rows[:, :, i] = pieces
-        if drift > 0.0:
-            for n in range(_PIECES):
-                follow_late(drift, count, pieces[n], lasts[n], rate, late[n])
-            features.late[:, :, i] = late
+        if drifts:
+            for d in range(2):
+                for n in range(_PIECES):
+                    follow_late(drift[d], count, pieces[n], lasts[n], rate[d], late[d, n])
+            features.late[:, :, :, i] = late
 
 
 @kernel()
@@ -360,7 +363,7 @@ class Motion:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
-    drift: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
     precision: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
@@ -404,22 +407,24 @@ class Motion:
             within = Within(none.long(), none, none)
         terms = searched_terms(self)
         rows, parts = len(x), len(within.row)
-        late = (rows, parts) if self.drift > 0.0 else (0, 0)
+        shapes = [(count, terms, _PIECES) for count in (rows, parts)]
+        late = [(*shape, 2) for shape in shapes] if max(self.drift) > 0.0 else [(0,) * 4] * 2
         features = Distances(
             *(
-                torch.zeros(len(actuators.lag), _PIECES, terms, count, dtype=x.dtype)
-                for count in (rows, parts, *late)
+                torch.zeros(len(actuators.lag), *reversed(shape), dtype=x.dtype)
+                for shape in (*shapes, *late)
             )
         )
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
         times = x[:, columns.duration] * self.longest, self.follows
         known = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
-        each = actuators.turning(self.turning), actuators.modes(self.modes), self.drift
+        each = actuators.turning(self.turning), actuators.modes(self.modes), np.array(self.drift)
         for p, own in enumerate(zip(*(part.numpy() for part in features), strict=True)):
             _distances(actuators.one(p), *each, *known, Distances(*own))
-        if self.drift > 0.0:
+        if max(self.drift) > 0.0:
             return features
-        return features._replace(late=features.rows, late_within=features.within)
+        both = (part.unsqueeze(1).expand(-1, 2, -1, -1, -1) for part in features[:2])
+        return Distances(*features[:2], *both)
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and their errors."""
@@ -478,7 +483,7 @@ class Rows(Protocol):
     def straight(self) -> bool: ...
 
     @property
-    def drift(self) -> float: ...
+    def drift(self) -> tuple[float, float]: ...
 
     def some(self, most: int) -> Rows:
         """Return stretches of the rows, about ``most`` rows or fewer."""
@@ -524,7 +529,7 @@ class Fit(NamedTuple):
         *parts, drag = (torch.from_numpy(part) for part in actuators.one(0)[3:])
         kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
         losses = None if rows.turning is None else twists[kinematics:]
-        drift = torch.tensor([rows.drift], dtype=torch.float64)
+        drift = torch.tensor(rows.drift, dtype=torch.float64)
         body = rows.turning, losses, rows.modes, drag, drift
         drive = DriveModel(*parts, twists[:kinematics], *body)
         return cls(drive, rows, band, laws, searched, actuators)
@@ -562,16 +567,27 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
 
 def _drifting(fit: Fit) -> Fit:
     """Return the fit with the drift that fits the rows best, if one does."""
-    searched, costs = fit.rows.some(_ROWS), {}
-    for drift in (0.0, *_DRIFTS):
-        late = replace(searched, drift=drift)
-        costs[drift] = float(_costs(late, fit.laws[None], fit.band))
-    best = min(costs, key=costs.__getitem__)
-    if costs[0.0] - costs[best] < _INERT:
+    searched, costs = fit.rows.some(_ROWS), dict[tuple[float, float], float]()
+    best = none = 0.0, 0.0
+    for part in ("both", "aside", "ahead"):
+        for lag in (0.0, *_DRIFTS):
+            drift = {"both": (lag, lag), "aside": (best[0], lag), "ahead": (lag, best[1])}[part]
+            late = replace(searched, drift=drift)
+            if drift not in costs:
+                costs[drift] = float(_costs(late, fit.laws[None], fit.band))
+        best = min(costs, key=costs.__getitem__)
+        if best == none:
+            return fit
+    if costs[none] - costs[best] < _INERT:
         return fit
+    rows = replace(fit.rows, drift=best)
     limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
-    laws = _again(replace(searched, drift=best), fit.band, fit.laws, *limits, _STEPS)
-    return Fit.of(replace(fit.rows, drift=best), fit.band, laws, True)
+    turning = rows.turning
+    if turning is None:  # losses may be seen once they come late
+        turning = _turning(replace(searched, drift=best), fit.laws, fit.band)
+        rows = replace(rows, turning=turning)
+    laws = _again(rows.some(_ROWS), fit.band, fit.laws, *limits, _STEPS)
+    return Fit.of(rows, fit.band, laws, True)
 
 
 def _fit_evenly(rows: Rows, band: Tensor | None, without: Collection[str]) -> Fit:
@@ -962,8 +978,8 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         return ahead, aside
 
     moved = se2.mid_turn(y)
-    ahead, aside = turned(late)
-    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
+    (ahead, aside), (late_ahead, late_aside) = map(turned, late.unbind(1))
+    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-late_aside, late_ahead], 2)], 1)
     target = (moved[:, :2].T * precision[1]).flatten()
     speeds, shifts_left = regressions(both, target, of_shift.repeat(2), weight.repeat(2))
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
@@ -973,7 +989,8 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         # at most the weight of the rows.
         counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
         forward, sideways, turn = (one[:, None, None] for one in kinematics.unbind(2))
-        twists = torch.stack([forward @ late_parts, sideways @ late_parts, turn @ parts], -1)
+        late_ahead, late_aside = late_parts.unbind(1)
+        twists = torch.stack([forward @ late_ahead, sideways @ late_aside, turn @ parts], -1)
         twists = twists.squeeze(2)  # [P, pieces, L, 3]
         steps = se2.exp(twists).unbind(1)
         pose = steps[0]

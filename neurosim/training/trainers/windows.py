@@ -262,7 +262,7 @@ class Chains:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
-    drift: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -363,14 +363,18 @@ class Chains:
         parts = (features[:made], lasts[:made], row[:made], states)
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
-    def late(self, features: Tensor, lasts: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the features with a drift [M, F], and their rates at rows' beginnings, [N, F].
+    def late(
+        self, features: Tensor, lasts: Tensor, row: Tensor, lag: float
+    ) -> tuple[Tensor, Tensor]:
+        """Return the features with a lag [M, F], and their rates at rows' beginnings, [N, F].
 
-        The arguments are those of :meth:`driven`.
+        Args:
+            features, lasts, row: those of :meth:`driven`.
+            lag: of products and losses, s.
         """
         late, states = features.clone(), torch.zeros(len(self.time), features.shape[1]).double()
         given = (part.numpy() for part in (features, lasts, row, self.joined))
-        _late(*given, self.drift, self.commanded.shape[1], late.numpy(), states.numpy())
+        _late(*given, lag, self.commanded.shape[1], late.numpy(), states.numpy())
         return late, states
 
     def inputs(self, fit: Fit, x: Tensor) -> tuple[Tensor, Underway]:
@@ -386,8 +390,9 @@ class Chains:
         speed, push = states[self.whole].chunk(2, 1)
         drift = speed[:, :0]
         if drive.drifts:
-            rates = own.late(*pieces)[1][self.whole]
-            drift = rates[:, count:] @ drive.twists[count : rates.shape[1], :2]
+            each = [own.late(*pieces, lag)[1][self.whole, count:] for lag in own.drift]
+            twists = drive.twists[count : count + each[0].shape[1]]
+            drift = torch.stack([rates @ twists[:, k] for k, rates in enumerate(each)], 1)
         goals, before = (
             drive.shaped(outside(part, fit.band)) for part in (self.commanded, self.before)
         )
@@ -456,10 +461,12 @@ class Chains:
             x, y = x[end] - x[first], y[end] - y[first]
             return cos * x - sin * y, sin * x + cos * y
 
-        if self.drift > 0.0:
-            features = self.late(features, lasts, row)[0]
-        ahead, aside = turned(features)
-        both = torch.cat([torch.cat([ahead, aside]), torch.cat([-aside, ahead])], 1)
+        moves = {
+            lag: turned(self.late(features, lasts, row, lag)[0] if lag > 0.0 else features)
+            for lag in set(self.drift)
+        }
+        (ahead, aside), (late_ahead, late_aside) = (moves[lag] for lag in self.drift)
+        both = torch.cat([torch.cat([ahead, aside]), torch.cat([-late_aside, late_ahead])], 1)
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
         speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift.repeat(2), twice)
