@@ -472,8 +472,8 @@ class DriveModel:
         for features, lasts in self.pieces(under, commanded, time):
             twist = features @ self.twists
             if self.drifts:
-                lasts = lasts.unsqueeze(1)
-                steady = self._late(features) / lasts.clamp(min=1e-9)
+                lasts = lasts.unsqueeze(1).clamp(min=1e-9)
+                steady = self._late(features) / lasts
                 then = steady + (drift - steady) * torch.exp(-lasts / self.drift)
                 moved = twist[:, :2] - self.drift * (then - drift)
                 twist, drift = torch.cat([moved, twist[:, 2:]], 1), then
