@@ -93,7 +93,7 @@ _LOWEST = (
     0.0,
     0.0,
 )
-_FASTEST = math.log(8.0), math.log(5.0), math.log(5.0), math.log(50.0)
+_FASTEST = math.log(60.0), math.log(5.0), math.log(5.0), math.log(50.0)
 _HIGHEST = (*_FASTEST, 0.2, *[5.0] * CURVES, 0.5, 10.0)
 #: Lags of velocity by products and losses that are tried, s.
 _DRIFTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.1, 1.6, 2.3, 3.2)
