@@ -113,7 +113,7 @@ def test_what_a_simulator_is_made_of_is_shown(whole):
         ["change in angle (deg)", "0%"],
     ]
     assert "answered after 28 ms" in page.text
-    assert "sideways motion has a lag of 1.3 s" in page.text
+    assert "the loss of speed in curves has a lag of 2.1 s, drift of 1.3 s" in page.text
 
 
 def test_table_2_against_an_independent_reckoning(whole):

@@ -30,7 +30,8 @@ from neurosim.simulators.motion import kernels
 from neurosim.simulators.motion.drive import ALIKE, MOVING, DriveModel, Underway, motion_features
 from neurosim.simulators.motion.files import KERNEL, write_motion
 from neurosim.simulators.motion.kernel_units import KernelUnits
-from neurosim.simulators.motion.network import can_drive
+from neurosim.simulators.motion.network import can_drive, chain
+from neurosim.simulators.motion.noise import CommandFeatures
 
 MEMBERS = torch.tensor([-1, 0, 1, 2])
 POSES = 0.5 * normal(7, 4, 3)
@@ -869,6 +870,21 @@ def test_chained_inputs_are_those_of_steps_from_rest(drives):
     assert torch.equal(again[6, :5], sim.scaled(inputs)[6])
     assert torch.equal(again[:6], x[:6])
     assert len(sim.chained(inputs[:0])) == 0
+
+
+def test_a_slow_body_remembers_many_short_commands():
+    slow = alike(lag=9.0, delay=0.12)
+    commands = double(np.random.default_rng(5).uniform(0.2, 1.0, (200, 2)))
+    time = torch.full((200,), 0.5).double()
+    before = torch.cat([commands[:1], commands[:-1]])
+    x = torch.cat([before, commands, time[:, None] / LONGEST], 1)
+    columns = CommandFeatures.of(("prev_left", "prev_right", "left", "right", "duration"))
+    begins = chain(slow, columns, x, torch.arange(200) > 0, LONGEST)[:, :2]
+    under = slow.begun(before[:1], before[:1])
+    for k in range(200):
+        assert begins[k].tolist() == pytest.approx(under.speed[0].tolist(), abs=5e-3)
+        reached = slow.reached(under, commands[k : k + 1], time[:1])
+        under = slow.after(under, commands[k : k + 1], time[:1], reached)
 
 
 @pytest.mark.parametrize("members", [1, 3])

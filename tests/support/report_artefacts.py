@@ -126,7 +126,7 @@ def make_simulator(folder, dataset_folder, seed=0):
                 "left": {"lag": 0.0824, "dead_band": 0.07}, "right": {"lag": 0.1, "dead_band": 0.0},
             },
             "delay": 0.028,
-            "drift": 1.3,
+            "drift": [2.1, 1.3],
             "kernel_units": 75,
             "process": {"dx": 0.3, "dy": 0.8, "dtheta": 0.0},
         },

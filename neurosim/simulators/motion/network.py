@@ -56,7 +56,7 @@ HELD = 0.05
 
 #: Number of commands after which an actuator's remaining difference is dropped; more if they are
 #: shorter in all than this time, s, and this number of lags, up to a limit.
-_LINKS, _DIES, _LAGS, _MOST_LINKS = 4, 1.0, 5.0, 40
+_LINKS, _DIES, _LAGS, _MOST_LINKS = 4, 1.0, 5.0, 400
 
 #: Outputs of the networks: the displacement; or, with a drive model, the twist by which the robot
 #: deviates from it, in the time of the longest command.
@@ -813,12 +813,15 @@ def chain(
         else 0
     )
     for _ in range(links):
+        earlier = speed, drift
         reached = drive.reached(drive.begun(speed, before, drift), commanded, time)
         pairs = (reached.speed, still.speed), (reached.drift, still.drift)
         speed, drift = (
             torch.cat([rest[:1], torch.where(follows[1:, None], there[:-1], rest[1:])])
             for there, rest in pairs
         )
+        if all(map(torch.equal, earlier, (speed, drift))):
+            break
     x = torch.cat([x, before, drift], 1)
     x[:, list(columns.before)] = speed
     return x
