@@ -22,9 +22,9 @@ off on average.
 
 Constants were chosen on some of the robots: those of learning by windows and of cars on ``dart``,
 ``asphalt`` and ``f1tenth``, those of intervals on ``dart``, ``asphalt``, ``lab 104``, ``boat`` and
-``barge``, that of a slow body on two boats that are not here, and how a known speed counts on
-``dart``, ``boat`` and all three floors. But for this, ``gravel`` and ``sand`` are only reported, as
-are ``utias``, ``lab 105`` and ``four wheels``. The last five, simulated, are driven as by hand.
+``barge``, those of a slow body on boats and ships that are not here, and how a known speed counts
+on ``dart``, ``boat`` and all three floors. But for this, ``gravel`` and ``sand`` are only reported,
+as are ``utias``, ``lab 105`` and ``four wheels``. The last five, simulated, are driven as by hand.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
 expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).
