@@ -296,6 +296,9 @@ def evolve(
             tensorboard=tensorboard,
             **judges,
         )
+    if len(controllers) < (asked := evolution.get("runs", 0)):
+        runs = counted(len(controllers), "run")
+        click.echo(f"neurosim: the optimiser {optimiser} made {runs}, not {asked}", err=True)
     again = ["evolve", simulator, "--task", task, "--robust", "-o", "ROBUST"]
     _say(controllers, out, simulator, made, keep_all, as_json, None if robust else again)
 
@@ -324,9 +327,9 @@ def _say(
     from neurosim.loop.unmet import Unmet
 
     best = controllers[0]
-    runs = len(controllers)
+    runs, asked = len(controllers), best.evolution["settings"]["runs"]
     paths = [out]
-    if keep_all and runs > 1:
+    if keep_all and asked > 1:
         paths = [out.with_name(f"{out.name}-{run + 1:02d}") for run in range(runs)]
     complete = sum(one.predicted["completes"] for one in controllers)
     history = best.evolution["history"]

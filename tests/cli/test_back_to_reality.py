@@ -4,11 +4,13 @@ import json
 import sys
 
 import pytest
+from hill_climber import HillClimber
 from motion_networks import random_motion_network
 
 from neurosim.base.errors import RobotError
 from neurosim.cli.main import main
 from neurosim.controllers.gait import HAND_TUNED
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.simulators.registry import write_simulator
 from neurosim.trials.realities import REALITIES
 
@@ -194,3 +196,16 @@ def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch
     assert not (tmp_path / "plan.checkpoint").exists()
     code, _, message = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
     assert "the reality virtual-nxt needs no camera: leave it out" in message
+
+
+def test_an_optimiser_that_makes_one_run_of_several(tmp_path, monkeypatch, neurosim):
+    monkeypatch.setitem(OPTIMISERS._registered, "own", HillClimber)
+    write_simulator(random_motion_network(), tmp_path / "sim")
+    words = ["evolve", "sim", "--optimiser", "own", "--generations", 3, "--extrapolate"]
+    for more, says in (([], False), (["--runs", 1], False), (["--runs", 3], True)):
+        out = f"plan-{len(more)}-{says}"
+        code, printed, message = neurosim(*words, *more, "-o", out, "--all", "--json")
+        assert code == 0, message
+        assert ("the optimiser own made 1 run, not 3" in message) == says
+        for folder in json.loads(printed)["controllers"]:
+            assert (tmp_path / folder / "controller.json").exists()
