@@ -23,7 +23,7 @@ from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
 #: 8 has the place of tables, 10 a floor, 11 may have several cylinders and a light in tables, 12
-#: has whether measured speeds count in a motion network.
+#: has whether measured speeds count in a motion network, 13 two lags of its drift.
 FORMAT, VERSION = "neurosim-simulator", 13
 
 #: Values of :attr:`Simulator.noise_kind`.

@@ -1,5 +1,6 @@
 """The walking robot: its simulator, its 12 parameters, and the task."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -282,4 +283,15 @@ def test_it_is_written_and_read(tmp_path, simulator):
     path = tmp_path / "simulator" / "simulator.json"
     path.write_text(path.read_text().replace('"friction": 0.5', '"friction": 50'))
     with pytest.raises(FileError, match=r"simulator\.json, field 'parameters'.*friction is 50"):
+        read_simulator(tmp_path / "simulator")
+
+
+def test_one_of_the_version_before_is_read(tmp_path, simulator):
+    simulator.write(tmp_path / "simulator")
+    path = tmp_path / "simulator" / "simulator.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"version": 12}))
+    assert read_simulator(tmp_path / "simulator").build == simulator.build
+    path.write_text(json.dumps(content | {"version": 11}))
+    with pytest.raises(FileError, match="reads versions 12 to 13, found 11"):
         read_simulator(tmp_path / "simulator")

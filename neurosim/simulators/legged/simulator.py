@@ -33,6 +33,8 @@ from neurosim.simulators.legged.physics import Physics, poses_of
 from neurosim.simulators.legged.quadratot import QuadraTot
 from neurosim.simulators.sampling import draw_samples
 
+#: Oldest version that can be read.
+_OLDEST = 12
 #: The kinds of robots by their names in files.
 BUILDS: dict[str, type[LeggedBuild]] = {one.robot: one for one in (Build, ServoBuild, QuadraTot)}
 
@@ -178,7 +180,7 @@ class LeggedSimulator(Simulator):
             FileError: if the file is missing or wrong.
         """
         path = Path(folder) / "simulator.json"
-        content = files.read_json(path, FORMAT, VERSION, formats.Legged)
+        content = files.read_json(path, FORMAT, VERSION, formats.Legged, oldest=_OLDEST)
         build = BUILDS[content.get("robot", Build.robot)]
         fixed = {name: _fixed(value) for name, value in content["parameters"].items()}
         return files.made(path, "parameters", lambda **given: cls(build(**given)), fixed)
