@@ -248,14 +248,14 @@ def ship(seconds, lag, held, dt=0.05):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag", [(0.0, 0.0), (1.2, 1.2), (2.5, 0.8)])
+@pytest.mark.parametrize("lag", [(0.0, 0.0), (1.2, 1.2), (2.2, 0.8), (1.2, 0.0)])
 @pytest.mark.parametrize(("seconds", "held"), [(90.0, (3, 15)), (300.0, (12, 60))])
 def test_a_ships_drift_is_learned(seconds, held, lag):
     data = dataset_of(ship(seconds, lag, held))
     assert data.meta["windows"] == (held[0] < 10)
     simulator = learn(training_data(data), 0, members=1, noise=False)
-    assert simulator.drive.drift.tolist() == pytest.approx(lag, rel=0.3)
-    assert ("drift_x" in simulator.state_names) == (lag[1] > 0.0)
+    assert simulator.drive.drift.tolist() == pytest.approx(lag, rel=0.25)
+    assert ("drift_x" in simulator.state_names) == any(lag)
     if lag[1]:
         plain = learn(training_data(data), 0, members=1, noise=False, without=("drift",))
         off, more = (compare(one, data, data).errors() for one in (simulator, plain))

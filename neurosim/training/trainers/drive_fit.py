@@ -213,18 +213,24 @@ def _distances(a, turning, modes, drift, before, commanded, time, follows, row, 
             features.within[:, :, k] = pieces
             if drifts:
                 then = rate.copy()
-                for d in range(2):
-                    for n in range(_PIECES):
-                        follow_late(drift[d], count, pieces[n], lasts[n], then[d], late[d, n])
+                _follow_both(drift, count, pieces, lasts, then, late)
                 features.late_within[:, :, :, k] = late
             k += 1
         _cut(a, turning, begins, goals, time[i], law, distance, reached, pieces, lasts)
         features.rows[:, :, i] = pieces
         if drifts:
-            for d in range(2):
-                for n in range(_PIECES):
-                    follow_late(drift[d], count, pieces[n], lasts[n], rate[d], late[d, n])
+            _follow_both(drift, count, pieces, lasts, rate, late)
             features.late[:, :, :, i] = late
+
+
+@kernel()
+def _follow_both(drift, count, pieces, lasts, rate, late):
+    """Let features follow with the lags ahead and aside [2], piece after piece; for each lag,
+    :func:`follow_late`.
+    """
+    for d in range(2):
+        for n in range(_PIECES):
+            follow_late(drift[d], count, pieces[n], lasts[n], rate[d], late[d, n])
 
 
 @kernel()
@@ -572,22 +578,19 @@ def _drifting(fit: Fit) -> Fit:
     for part in ("both", "aside", "ahead"):
         for lag in (0.0, *_DRIFTS):
             drift = {"both": (lag, lag), "aside": (best[0], lag), "ahead": (lag, best[1])}[part]
-            late = replace(searched, drift=drift)
             if drift not in costs:
+                late = replace(searched, drift=drift)
                 costs[drift] = float(_costs(late, fit.laws[None], fit.band))
         best = min(costs, key=costs.__getitem__)
-        if best == none:
-            return fit
     if costs[none] - costs[best] < _INERT:
         return fit
-    rows = replace(fit.rows, drift=best)
-    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
-    turning = rows.turning
+    searched, turning = replace(searched, drift=best), fit.rows.turning
     if turning is None:  # losses may be seen once they come late
-        turning = _turning(replace(searched, drift=best), fit.laws, fit.band)
-        rows = replace(rows, turning=turning)
-    laws = _again(rows.some(_ROWS), fit.band, fit.laws, *limits, _STEPS)
-    return Fit.of(rows, fit.band, laws, True)
+        turning = _turning(searched, fit.laws, fit.band)
+    searched = replace(searched, turning=turning)
+    limits = _of_each(_LOWEST, len(fit.band)), _of_each(_HIGHEST, len(fit.band))
+    laws = _again(searched, fit.band, fit.laws, *limits, _STEPS)
+    return Fit.of(replace(fit.rows, drift=best, turning=turning), fit.band, laws, True)
 
 
 def _fit_evenly(rows: Rows, band: Tensor | None, without: Collection[str]) -> Fit:
