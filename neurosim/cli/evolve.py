@@ -324,13 +324,12 @@ def _say(
     robustly: list[Any] | None,
 ) -> None:
     """Print what was evolved, and the next step; ``robustly``: that for unlikely plans."""
+    from neurosim.loop.evolve import folders_of
     from neurosim.loop.unmet import Unmet
 
     best = controllers[0]
     runs, asked = len(controllers), best.evolution["settings"]["runs"]
-    paths = [out]
-    if keep_all and asked > 1:
-        paths = [out.with_name(f"{out.name}-{run + 1:02d}") for run in range(runs)]
+    paths = folders_of(out, asked if keep_all else 1)[:runs]
     complete = sum(one.predicted["completes"] for one in controllers)
     history = best.evolution["history"]
     result = {

@@ -478,7 +478,7 @@ def evolve(
             Scalars(tensorboard) as scalars,
         ):
             return results(evolution.run(None, progress, journal, scalars))
-    folders = _folders(Path(out), settings.runs if keep_all else 1)
+    folders = folders_of(Path(out), settings.runs if keep_all else 1)
     checkpoint = Checkpoint(out, "evolution")
     begun = {
         **asdict(settings),
@@ -554,7 +554,8 @@ def _in_reality(real: Transfer | None, reality: Reality | None, seed: int) -> di
     return about
 
 
-def _folders(out: Path, count: int) -> list[Path]:
+def folders_of(out: Path, count: int) -> list[Path]:
+    """Return the folders of the controllers of a number of runs."""
     if count == 1:
         return [out]
     return [out.with_name(f"{out.name}-{run + 1:02d}") for run in range(count)]

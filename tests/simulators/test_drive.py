@@ -324,9 +324,8 @@ def test_a_ship_drifts_as_its_law_integrated_in_small_steps(drift):
         waited = k - 120
         goal = commands[waited // 100, 0].numpy() if waited >= 0 else np.zeros(2)
         speed = speed + (goal - speed) * h / 0.6
-        late += (
-            (np.array([-0.2 * speed[1], -0.4 * speed[0]]) * speed[1] - late) * h / np.array(drift)
-        )
+        steady = np.array([-0.2 * speed[1], -0.4 * speed[0]]) * speed[1]
+        late += (steady - late) * h / np.array(drift)
         ahead, aside = 0.8 * speed[0] + late[0], late[1]
         x += h * (ahead * math.cos(heading) - aside * math.sin(heading))
         y += h * (ahead * math.sin(heading) + aside * math.cos(heading))

@@ -95,6 +95,7 @@ class MotionModel(NamedTuple):
     modes: np.ndarray  #: [C, C]
     drag: np.ndarray  #: [C]
     drift: np.ndarray  #: [2]
+    drifts: bool  #: whether a state has the drift
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -119,7 +120,7 @@ class MotionModel(NamedTuple):
 def scratch(a):
     """Return the work arrays of :func:`step` and :func:`sense`, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
-    under = (2 + a.slots) * actuators + a.slots + 2 * (max(a.drift[0], a.drift[1]) > 0.0)
+    under = (2 + a.slots) * actuators + a.slots + 2 * a.drifts
     size = 2 * inputs + (_LAW + 6) * actuators + 3 + under + len(a.exponents[0]) + len(a.centres[0])
     numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
@@ -167,8 +168,7 @@ def step(a, states, command, z, work):
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
     behind = 3 + 3 * count + 1  # index of the displacement since the command began
     start = behind + 3 + DRAWS
-    drifts = a.drives and max(a.drift[0], a.drift[1]) > 0.0
-    excess = start + len(began) + 2 * drifts
+    excess = start + len(began) + 2 * a.drifts
     time = command[a.source[a.duration]] if a.drives else 0.0
     for r in range(len(states)):
         own = states[r]
@@ -197,7 +197,7 @@ def step(a, states, command, z, work):
             if not same:
                 for i in range(len(began)):
                     own[start + i] = began[i]
-            if drifts:
+            if a.drifts:
                 own[start + len(began)] = memory[3 * count + 1]
                 own[start + len(began) + 1] = memory[3 * count + 2]
             now_x, now_y, now = dx, dy, turn
@@ -416,7 +416,7 @@ def _inputs(a, state, command, memory, began, x):
     if not same:
         for i in range(2 * count):
             began[i] = state[3 + i]
-        if max(a.drift[0], a.drift[1]) > 0.0:
+        if a.drifts:
             began[-2], began[-1] = state[start + len(began)], state[start + len(began) + 1]
         if slots > 0 and lasted > 0.0:
             _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])

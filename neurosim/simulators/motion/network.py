@@ -695,6 +695,7 @@ class MotionNetwork(Simulator):
             swing=math.nan if self.derived.swing is None else self.derived.swing,
             floor=self.network.floor,
             drives=self.drive is not None,
+            drifts=self.drive is not None and self.drive.drifts,
             slots=0 if self.drive is None else self.drive.slots,
             longest=self.longest,
             members=self.members > 1,
