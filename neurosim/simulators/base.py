@@ -23,8 +23,9 @@ from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
 #: 8 has the place of tables, 10 a floor, 11 may have several cylinders and a light in tables, 12
-#: has whether measured speeds count in a motion network, 13 two lags of its drift.
-FORMAT, VERSION = "neurosim-simulator", 13
+#: has whether measured speeds count in a motion network, 13 two lags of its drift, 14 errors of
+#: these speeds.
+FORMAT, VERSION = "neurosim-simulator", 14
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}

@@ -912,5 +912,5 @@ def test_the_order_of_inputs_does_not_matter(members):
 def test_a_simulator_of_an_earlier_version_is_refused(folder):
     path = folder / "simulator.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 3}))
-    with pytest.raises(FileError, match="reads version 13, found 3"):
+    with pytest.raises(FileError, match="reads versions 13 to 14, found 3"):
         read_simulator(folder)

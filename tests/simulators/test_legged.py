@@ -293,5 +293,5 @@ def test_one_of_the_version_before_is_read(tmp_path, simulator):
     path.write_text(json.dumps(content | {"version": 12}))
     assert read_simulator(tmp_path / "simulator").build == simulator.build
     path.write_text(json.dumps(content | {"version": 11}))
-    with pytest.raises(FileError, match="reads versions 12 to 13, found 11"):
+    with pytest.raises(FileError, match="reads versions 12 to 14, found 11"):
         read_simulator(tmp_path / "simulator")

@@ -39,14 +39,27 @@ def log(lasting, sudden, drives=4, count=600, lasts=0.8, seed=0):
 
 def test_errors_that_last_are_told_from_sudden_ones():
     excess = fit_excess(*log(0.1, 0.0))
-    assert excess.believed[0] == 1.0
+    assert excess.believed(STEP)[0] >= 0.9
     assert 0.4 <= excess.lasts[0] <= 1.6
-    assert excess.believed[1:].tolist() == [0.0, 0.0]
+    assert excess.clarity[1:].tolist() == [0.0, 0.0]
+    assert excess.shortest == pytest.approx(STEP, abs=1e-3)
     assert fit_excess(*log(0.0, 0.1)) is None
 
 
 def test_a_measurement_with_errors_of_its_own_counts_less():
-    assert 0.25 <= fit_excess(*log(0.1, 0.1)).believed[0] <= 0.75
+    assert 0.25 <= fit_excess(*log(0.1, 0.1)).believed(STEP)[0] <= 0.75
+
+
+def test_errors_of_poses_count_less_in_a_longer_measurement():
+    time, predicted, actual, drive = log(0.1, 0.0, lasts=3.2)
+    # 1 cm between two poses is as much as the excess in 0.1 s, and a quarter of it in 0.4 s.
+    errors = np.random.default_rng(1).normal(0, 0.01 / np.sqrt(2), len(time))
+    moved = torch.zeros_like(actual)
+    moved[:, 0] = torch.from_numpy(errors)
+    excess = fit_excess(time, predicted, se2.compose(actual, moved), drive)
+    assert 0.3 <= excess.believed(0.1)[0] <= 0.7
+    assert excess.believed(0.4)[0] >= 0.85
+    assert 1.6 <= excess.lasts[0] <= 6.4
 
 
 def test_of_short_drives_nothing_is_known():
@@ -60,4 +73,4 @@ def test_a_drive_does_not_go_on_in_the_next(gap):
     jumps[:, 0] = 100.0 * drive
     time = time - drive * (1000.0 - 20 * STEP - gap)
     excess = fit_excess(time, predicted, actual + jumps, drive)
-    assert excess.believed[0] >= 0.75
+    assert excess.believed(STEP)[0] >= 0.75

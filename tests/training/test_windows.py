@@ -223,24 +223,27 @@ def test_a_robot_is_learned_from_commands_that_never_stay():
     assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)
 
 
-def ship(seconds, lag, held, dt=0.05):
+def ship(seconds, lag, held, dt=0.05, push=0.0):
     """Return the log of a ship that answers within seconds and drifts with these lags, s.
 
     The first is that of what a turn costs it ahead. Its commands are held for some steps, from one
-    to another number of them.
+    to another number of them. ``push`` is the size of a current that turns it (rad/s), and that
+    changes within 10 s.
     """
     rng, steps = np.random.default_rng(4), 25
     count, h = round(seconds / dt), dt / steps
     commands = rng.uniform((0.2, -1.0), (1.0, 1.0), (count, 2))
     commands = np.repeat(commands, rng.integers(*held, count), axis=0)[:count]
+    pushes, current = np.random.default_rng(5).normal(0, push * np.sqrt(dt / 5.0), count), 0.0
     speed, late, pose, poses = np.zeros(2), np.zeros(2), np.zeros(3), []
-    for command in commands:
+    for command, more in zip(commands, pushes, strict=True):
         poses.append(pose)
+        current += more - current * dt / 10.0
         for _ in range(steps):
             speed = speed + (command - speed) * h / np.array([1.5, 0.8])
             steady = np.array([-0.3 * speed[1], -0.5 * speed[0]]) * speed[1]
             late = late + (steady - late) * np.minimum(h / np.maximum(lag, 1e-9), 1.0)
-            twist = np.array([0.8 * speed[0] + late[0], late[1], 0.6 * speed[1]])
+            twist = np.array([0.8 * speed[0] + late[0], late[1], 0.6 * speed[1] + current])
             pose = se2.compose(pose, se2.exp(h * twist))
     poses = np.array(poses) + rng.normal(0, (0.002, 0.002, 0.002), (count, 3))
     seen = np.ones(count, bool)
@@ -262,6 +265,20 @@ def test_a_ships_drift_is_learned(seconds, held, lag):
         # That it stood first, what no row tells, is a part of the error ahead.
         for name, less in (("dx", 0.8), ("dy", 0.2)):
             assert off[name]["mean_absolute_error"] < less * more[name]["mean_absolute_error"]
+
+
+@pytest.mark.slow
+def test_a_current_is_not_a_floor_but_lasts_from_one_held_command_to_the_next(monkeypatch):
+    data = dataset_of(ship(400.0, (0.0, 0.0), (12, 25), push=0.1))
+    assert not data.meta["windows"]
+    simulator = learn(training_data(data), 0, members=3)
+    assert simulator.floor is None
+    assert simulator.excess.lasts[2] >= 3.2
+    assert simulator.excess.believed(0.4)[2] >= 0.7
+    monkeypatch.setattr(combined.CombinedTrainer, "_glides", False)
+    taken = learn(training_data(data), 0, members=3)
+    assert taken.floor is not None
+    assert taken.excess is None
 
 
 @pytest.mark.slow

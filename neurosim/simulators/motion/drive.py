@@ -226,6 +226,12 @@ class DriveModel:
         root = (1.0 + 4.0 * self.drag * (1.0 + self.drag) * force.abs()).sqrt()
         return 2.0 * (1.0 + self.drag) * force / (1.0 + root)
 
+    @property
+    def memory(self) -> float:
+        """The longest lag, s: for how long the motion depends on earlier commands."""
+        slowest = self.lag * (self.slowing * self.braking.clamp(min=1.0)).clamp(min=1.0)
+        return float(torch.cat([slowest, self.drift]).max())
+
     def begun(
         self, speed: Tensor, goal: Tensor | None = None, drift: Tensor | None = None
     ) -> Underway:

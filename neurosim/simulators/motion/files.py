@@ -35,11 +35,12 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
-#: Oldest version that can be read: in earlier ones a drift is of sideways motion alone.
-_OLDEST = 13
+#: Oldest version that can be read: in earlier ones a drift is of sideways motion alone. Oldest one
+#: in which the errors of measured speeds are known.
+_OLDEST, _MEASURED = 13, 14
 
 #: The tensors of kernel units, and of an excess.
-KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "believed")
+KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "clarity", "shortest")
 
 #: The name of the noise model in simulator.json; its numbers are stored with the weights.
 NOISE = {
@@ -157,8 +158,14 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     if noisy:
         expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
     exceeds = content.get("excess", False)
+    if exceeds and content["version"] < _MEASURED:
+        raise FileError(
+            path,
+            "does not tell how certain measured speeds are: train the simulator again",
+            field="excess",
+        )
     if exceeds:
-        expected |= {f"excess.{k}": (3,) for k in EXCESS}
+        expected |= dict(zip((f"excess.{k}" for k in EXCESS), ((3,), (3,), (1,)), strict=True))
     stored = content.get("domain")
     if stored is not None:
         expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)

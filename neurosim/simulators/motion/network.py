@@ -467,7 +467,9 @@ class MotionNetwork(Simulator):
         parts = self._parts(state)
         simulated = se2.mid_turn(se2.between(before[:, :3], state[:, :3]))
         off = (se2.mid_turn(moved.to(state)) - simulated) / seconds
-        return torch.cat(parts._replace(excess=self.excess.corrected(parts.excess, off)), dim=1)
+        return torch.cat(
+            parts._replace(excess=self.excess.corrected(parts.excess, off, seconds)), dim=1
+        )
 
     def _underway(self, parts: _State) -> Underway:
         """Return the actuators' state at the beginning of the last command."""
@@ -806,8 +808,7 @@ def chain(
     still = drive.begun(before, before)
     speed, drift = still.speed, still.drift
     # A remaining difference decays within a few commands, or seconds.
-    slowest = drive.lag * (drive.slowing * drive.braking.clamp(min=1.0)).clamp(min=1.0)
-    dies = _DIES + _LAGS * float(torch.cat([slowest, drive.drift]).max())
+    dies = _DIES + _LAGS * drive.memory
     links = (
         max(_LINKS, min(math.ceil(dies / max(float(time.median()), 1e-3)), _MOST_LINKS))
         if len(x)

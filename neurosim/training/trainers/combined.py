@@ -405,6 +405,8 @@ class CombinedTrainer:
         whole = len(data.x)
         if data.start is None or data.joined is not None or "floor" in self._settings.without:
             return None
+        if self._glides:
+            return None  # errors last for several rows, and would be taken for a floor
         x, under = self._inputs(self._fit)
         changing, twist = self._phases(self._drive, x, under)
         unseen = (self._best.unseen * self._best.fractions.unsqueeze(1)).T[:whole]
@@ -446,6 +448,11 @@ class CombinedTrainer:
                 break
             best = wider
         self._best = best
+
+    @property
+    def _glides(self) -> bool:
+        """Whether the motion depends on more than the last command before one, as a ship's."""
+        return self._drive.memory > float(self._data.x[:, self._columns.duration].median())
 
     @property
     def _swings(self) -> bool:
@@ -557,8 +564,11 @@ class CombinedTrainer:
         return se2.compose(changing, se2.exp(twist))
 
     def _instants(self) -> _Instants | None:
-        """Return when a robot was seen in a log, to learn its excess; None: it has none."""
-        joined, within, y = self._data.joined, self._data.within, self._data.y
+        """Return when a robot was seen, to learn its excess; None: it has none."""
+        within, y = self._data.within, self._data.y
+        joined = self._data.joined
+        if joined is None and self._glides:
+            joined = self._data.follows
         if joined is None or "excess" in self._settings.without:
             return None
         lasts = self._data.x[:, self._columns.duration]
