@@ -24,7 +24,9 @@ Constants were chosen on some of the robots: those of learning by windows and of
 ``asphalt`` and ``f1tenth``, those of intervals on ``dart``, ``asphalt``, ``lab 104``, ``boat`` and
 ``barge``, those of a slow body on boats and ships that are not here, and how a known speed counts
 on ``dart``, ``boat`` and all three floors. But for this, ``gravel`` and ``sand`` are only reported,
-as are ``utias``, ``lab 105`` and ``four wheels``. The last five, simulated, are driven as by hand.
+as are ``utias``, ``lab 105``, ``four wheels`` and the ship of :mod:`model_ship`; ships of other
+lengths and numbers decided how a measured speed counts for held commands, and that they have no
+floor. Labs, ``four wheels`` and boats, simulated, are driven as by hand.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
 expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).
@@ -42,6 +44,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import model_ship
 import numpy as np
 import pandas as pd
 import torch
@@ -73,6 +76,8 @@ STEP, FINE, WARM, EVERY, APART, MOST, JUDGED = 0.05, 4, 20.0, 0.1, 0.25, 1200, 3
 FOLDS = 4
 #: A speed before a window is measured over this time, s.
 BEFORE = 0.1
+#: The model ship, of 4 m.
+MODEL = model_ship.ModelShip(4.0, 31)
 #: Number of samples of each window.
 DRAWS = 200
 
@@ -210,6 +215,21 @@ def by_hand(name: str, seconds: float = 150.0) -> Robot:
     return of_logs(robot.names, [log_of("1", np.arange(len(poses)) / 30, commands, poses)])
 
 
+def ship() -> Robot:
+    """Return a model ship with random orders."""
+    orders = model_ship.at_random(np.random.default_rng(31), 400.0)
+    return of_logs(model_ship.ORDERS, [log_of("1", *MODEL.drive(orders, 31))])
+
+
+def trials() -> Robot:
+    """Return the same ship in manoeuvring trials, of which a third are held out."""
+    logs = [
+        log_of(str(number), *MODEL.drive(orders, number))
+        for number, orders in enumerate(model_ship.trials(80.0))
+    ]
+    return of_drives(model_ship.ORDERS, logs, lambda number: number % 3 == 2)
+
+
 ROBOTS: dict[str, Callable[[], Robot]] = {
     "dart": dart,
     "asphalt": lambda: drive("asphalt"),
@@ -221,6 +241,8 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
         name: partial(by_hand, name)
         for name in ("lab 104", "lab 105", "four wheels", "boat", "barge")
     },
+    "ship": ship,
+    "ship trials": trials,
 }
 
 
