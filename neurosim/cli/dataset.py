@@ -47,12 +47,12 @@ def _unit(name: str, values: list[str], help: str) -> Callable[[Callable], Calla
     )
 
 
-def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Callable]:
+def _seconds(name: str, default: float | None, help: str) -> Callable[[Callable], Callable]:
     return click.option(
         f"--{name}",
         type=ranged(Seconds),
         default=default,
-        show_default=True,
+        show_default=default is not None,
         help=f"csv, mrclam: {help}",
     )
 
@@ -145,7 +145,12 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
         "were held.  [default: windows where few commands were held]"
     ),
 )
-@_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
+@_seconds(
+    "longest-gap",
+    None,
+    "leave out pieces with no sample or pose for longer, s.  [default: 0.5, or 2.5 times the usual "
+    "time between them]",
+)
 @click.option(
     "--delay",
     type=ranged(Delay),
@@ -173,7 +178,7 @@ def dataset(
     shortest: float,
     step: float,
     windows: bool | None,
-    longest_gap: float,
+    longest_gap: float | None,
     delay: float | None,
     as_json: bool,
     **conventions: str,

@@ -621,3 +621,32 @@ def test_counters_that_do_not_exist_or_are_not_of_a_log_are_refused(imported, tm
     rows.write_text("duration,v,w,dx,dy,dtheta\n" + "1.0,0.1,0,0.1,0,0\n" * 9)
     with pytest.raises(UserError, match="--counters is for logs"):
         import_csv(rows, tmp_path / "out", counters=("v",))
+
+
+@pytest.mark.parametrize("form", ["rare lines", "empty", "repeated"])
+def test_places_that_are_known_once_in_a_second(imported, form):
+    commands = np.repeat(np.random.default_rng(1).uniform((0.1, -0.2), (0.3, 0.2), (20, 2)), 60, 0)
+    time, poses, commands = drive(seconds=60.0, lag=2.0, commands=commands)
+    plain, _ = imported(time, poses, commands)
+    known = np.arange(len(time)) % 20 == 0
+    if form == "rare lines":
+        time, poses, commands = time[known], poses[known], commands[known]
+    elif form == "repeated":
+        poses = poses[known].repeat(20, axis=0)
+    else:
+        poses[~known] = np.nan
+    made, warnings = imported(time, poses, commands)
+    assert warnings.startswith("samples or poses are 1 s apart, so gaps of up to 2.5 s are allowed")
+    assert made.meta["settings"]["longest_gap"] == 2.5
+    assert len(plain) == 19
+    # The last one ends after the last place.
+    assert len(made) >= 18
+    assert made.output_array()[:18] == pytest.approx(plain.output_array()[:18], abs=1e-6)
+    with pytest.raises(UserError):
+        imported(time, poses, commands, settings=Settings(longest_gap=0.5))
+
+
+def test_samples_that_are_very_far_apart_are_refused(imported):
+    time, poses, commands = drive(seconds=20.0)
+    with pytest.raises(UserError, match=r"samples are 2\.5 s apart, more than --longest-gap 0\.5"):
+        imported(50.0 * time, poses, commands)

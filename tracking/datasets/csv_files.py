@@ -153,6 +153,8 @@ def import_csv(
             warnings += [f"{table.path}: {sentence}" for sentence in notes]
         drives, notes = in_step(drives, settings.delay)
         warnings += notes
+        settings, notes = settings.fitted(drives)
+        warnings += notes
         made, left_out, windows = logs.any_rows_of(drives, commands, settings)
         if not made:
             _explain(tables[0].path, drives[0], left_out, settings)
@@ -360,10 +362,10 @@ def _explain(
         UserError: if so.
     """
     apart = float(np.median(np.diff(log.time)))
-    if apart > settings.longest_gap:
+    if apart > settings.gap:
         raise UserError(
             f"{path}: samples are {apart:g} s apart, more than --longest-gap "
-            f"{settings.longest_gap:g}: check --time, or give a longer --longest-gap"
+            f"{settings.gap:g}: check --time, or give a longer --longest-gap"
         )
     if (lasts := log.time[-1] - log.time[0]) < settings.shortest:
         raise UserError(

@@ -15,7 +15,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,9 @@ REASONS = {
 #: Number of held commands below which rows may follow one another, the fraction of the time that
 #: held commands take below which they may, and smallest number of such rows.
 FEW, MOST_OF_IT, LEAST = 100, 0.75, 20
+#: Longest gap by default, s; where samples or poses are farther apart, up to a limit, s: in times
+#: that they are.
+_GAP, _RAREST, _GAPS = 0.5, 2.0, 2.5
 #: Time between poses within such rows, s.
 _WITHIN = 0.25
 #: Duration of the motion that determines the command before the first one, s.
@@ -52,7 +55,8 @@ class Settings(Checked):
     Attributes:
         shortest: shortest piece that gives a row, s.
         longest: longest piece, s.
-        longest_gap: a piece is left out if samples or poses are silent for longer within it, s.
+        longest_gap: a piece is left out if samples or poses are silent for longer within it, s;
+            None: 0.5, or more where they are rarer, see :meth:`fitted`.
         step: where rows follow one another, commands shorter than this, s, make one row.
         windows: whether rows follow one another, to be learned from by windows; None: where
             there are few held commands (:func:`any_rows_of`).
@@ -63,7 +67,7 @@ class Settings(Checked):
 
     shortest: Seconds = 0.5
     longest: Seconds = 3.0
-    longest_gap: Seconds = 0.5
+    longest_gap: Seconds | None = None
     step: Seconds = 0.1
     windows: bool | None = None
     keep: bool = False
@@ -76,6 +80,27 @@ class Settings(Checked):
                 f"the shortest piece ({self.shortest:g} s) is longer than the longest one "
                 f"({self.longest:g} s)"
             )
+
+    @property
+    def gap(self) -> float:
+        """The longest gap, s."""
+        return _GAP if self.longest_gap is None else self.longest_gap
+
+    def fitted(self, logs: Sequence[Log]) -> tuple[Settings, list[str]]:
+        """Return the settings with the longest gap that logs need, and a sentence if it is longer.
+
+        A ship's place is often known once in a second.
+        """
+        every = (log.time for log in logs), (log.pose_time for log in logs)
+        steps = [np.concatenate([np.diff(times) for times in kind]) for kind in every]
+        apart = max(float(np.median(each)) if len(each) else 0.0 for each in steps)
+        if self.longest_gap is not None or not _GAP < apart <= _RAREST:
+            return replace(self, longest_gap=self.gap), []
+        gap = round(_GAPS * apart, 3)
+        return replace(self, longest_gap=gap), [
+            f"samples or poses are {apart:.3g} s apart, so gaps of up to {gap:g} s are allowed "
+            "(--longest-gap); look whether --time is right"
+        ]
 
 
 @dataclass(frozen=True)
@@ -131,7 +156,7 @@ def rows_of(
     """
     left_out = Counter(dict.fromkeys(REASONS, 0))
     cut = np.array(list(pieces(log.time, log.commands, settings.longest)), np.int64).reshape(-1, 2)
-    gaps = _gaps(log, log.time[cut[:, 0]], log.time[cut[:, 1]], settings.longest_gap)
+    gaps = _gaps(log, log.time[cut[:, 0]], log.time[cut[:, 1]], settings.gap)
     kept = []
     for (start, end), gap in zip(cut.tolist(), gaps.tolist(), strict=True):
         if log.time[end] - log.time[start] < settings.shortest - _ROUNDING:
@@ -299,7 +324,7 @@ def chained_rows_of(
     before = np.concatenate([first[None], commanded[:-1]])
     poses = log.pose_at(time[starts])
     moved = se2.between(poses[:-1], poses[1:])
-    gaps = _gaps(log, begins, ends, settings.longest_gap)
+    gaps = _gaps(log, begins, ends, settings.gap)
     rows = []
     for number in np.flatnonzero(~gaps).tolist():
         within: list[dict[str, float]] = []

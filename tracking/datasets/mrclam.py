@@ -67,6 +67,7 @@ def import_mrclam(
     stem = by_role["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
     (log,), warnings = in_step([log], settings.delay)
+    settings, notes = settings.fitted([log])
     rows, left_out, windows = any_rows_of([log], ("v", "w"), settings)
     dataset = make(
         rows,
@@ -75,7 +76,7 @@ def import_mrclam(
         left_out=left_out,
         settings=asdict(settings),
         reasons=REASONS,
-        warnings=warnings,
+        warnings=warnings + notes,
         windows=windows,
     )
     dataset.write(out)

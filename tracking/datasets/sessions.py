@@ -21,6 +21,8 @@ from neurosim.base import se2
 from neurosim.base.errors import FileError
 from tracking.datasets.logs import Log, Settings, is_known, off_axis
 
+#: Times that a pose usually stays, after which the robot stood.
+_RARELY = 3.0
 #: Silence of the clock, in multiples of the longest gap, that separates drives.
 _SILENCE = 10.0
 #: Speed of a jump, in multiples of the speed of all but 5 % of the steps, of that of all but 1 % of
@@ -157,7 +159,7 @@ def _begins(time: NDArray, settings: Settings, labels: Sequence[str] | None) -> 
     if labels is not None:
         names = np.asarray(labels)
         return np.flatnonzero(names[1:] != names[:-1]) + 1
-    steps, gap = np.diff(time), settings.longest_gap
+    steps, gap = np.diff(time), settings.gap
     return np.flatnonzero((steps < -gap) | (steps > max(_SILENCE * gap, 100.0 * _usual(steps)))) + 1
 
 
@@ -170,13 +172,13 @@ def _drives(
 ) -> Iterator[Log]:
     """Yield the drives of a part with increasing times, cut at jumps of the pose."""
     seen = np.isfinite(poses).all(axis=1)
-    seen &= ~_old(time, poses, settings.longest_gap)
+    seen &= ~_old(time, poses, settings.gap)
     places = np.flatnonzero(seen)
     if len(time) < 2 or not len(places):
         return
     poses = poses.copy()
     poses[places, 2] = np.unwrap(poses[places, 2])
-    away, jumps = _jumps(time[places], poses[places], settings.longest_gap)
+    away, jumps = _jumps(time[places], poses[places], settings.gap)
     seen[places[away]] = False
     cuts = [0, *(places[~away])[jumps].tolist(), len(time)]
     for number, (start, end) in enumerate(pairwise(cuts)):
@@ -197,13 +199,15 @@ def _drives(
 def _old(time: NDArray, poses: NDArray, longest: float) -> NDArray[np.bool_]:
     """Return whether poses (N, 3) repeat the previous line, for poses at a lower rate.
 
-    They do if most lines repeat the previous one, except while the robot stood for longer, s.
+    They do if most lines repeat the previous one, except while the robot stood for longer, s, and
+    longer than poses usually stay.
     """
     again = np.zeros(len(time), np.bool_)
     again[1:] = (poses[1:] == poses[:-1]).all(axis=1)
     fresh = np.flatnonzero(~again)
-    until = np.append(time[fresh[1:]], time[-1])
-    stands = np.repeat(until - time[fresh] > longest, np.diff(np.append(fresh, len(time))))
+    lasted = np.append(time[fresh[1:]], time[-1]) - time[fresh]
+    stood = lasted > max(longest, _RARELY * float(np.median(lasted)))
+    stands = np.repeat(stood, np.diff(np.append(fresh, len(time))))
     moving = ~stands
     if again[moving].sum() <= moving.sum() / 2:
         return np.zeros_like(again)
