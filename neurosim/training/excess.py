@@ -2,19 +2,21 @@
 
 From each instant of a log on, the error of the prediction is compared with the error of the speed
 before it, times g T (1 - exp(-t / T)), for P / R and T of a grid; see
-:mod:`neurosim.simulators.motion.excess`.
+:mod:`neurosim.simulators.motion.excess`. Then P follows from the products of both errors, which
+those of poses hardly change.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.excess import Excess
+from neurosim.simulators.motion.excess import Excess, variances
 from neurosim.simulators.motion.noise import residual
 from neurosim.training.trainers.windows import LENGTHS, OVERLAP
 
@@ -27,6 +29,10 @@ LASTS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8)
 LONGER = 0.25
 #: Fraction of the measurements that may be shorter than the shortest that is told.
 _SHORTEST = 0.1
+#: Size, in medians, of the largest errors for the covariance; smallest correlation that counts, and
+#: the largest one, of parts whose time constants differ by a factor at most; smallest variance,
+#: where none is known; smallest ratio of the variances of errors ahead and aside.
+_FAR, _LEAST_ALIKE, _MOST_ALIKE, _AS_LONG, _SMALLEST, _AS_WELL = 4.5, 0.6, 0.95, 4.0, 1e-12, 0.01
 #: Smallest number of separate predictions of a length.
 _FEW = 5
 #: A measurement counts if it lessens errors by this fraction, and by this many standard errors.
@@ -50,10 +56,12 @@ def fit_excess(time: Tensor, predicted: Tensor, actual: Tensor, drive: Tensor) -
     shortest = min(one[1].quantile(_SHORTEST) for one in windows).reshape(1)
     best = [(0.0, 0.0, 1.0)] * 3
     for clarity, lasts in itertools.product(CLARITY, LASTS):
-        tried = Excess(torch.full((3,), lasts), torch.full((3,), clarity), shortest)
         gained, uncertain = torch.zeros(3), torch.zeros(3)
         for before, measured, lasted, after in windows:
-            expected, _ = tried.faded(tried.believed(measured) * before, lasted)
+            end, mean = variances(measured, torch.tensor(lasts))
+            certain = clarity * measured**2
+            expected = certain * end / (1.0 + certain * mean) * before
+            expected = expected * lasts * -torch.expm1(-lasted / lasts)
             less = after.abs() - (after - expected).abs()
             less = less / after.abs().mean(0).clamp(min=1e-9) / len(windows)
             gained += less.mean(0)
@@ -61,10 +69,44 @@ def fit_excess(time: Tensor, predicted: Tensor, actual: Tensor, drive: Tensor) -
         for c in range(3):
             if gained[c] > max(best[c][0], _WORTH, _SURE * uncertain[c]):
                 best[c] = (float(gained[c]), clarity, lasts)
-    if not any(clarity for _, clarity, _ in best):
+    _, clear, fades = (torch.tensor(each).double() for each in zip(*best, strict=True))
+    if not clear.any():
         return None
-    _, clear, fades = zip(*(best[c] for c in (1, 2, 0)), strict=True)
-    return Excess(torch.tensor(fades).double(), torch.tensor(clear).double(), shortest)
+    covariance = _covariance(windows, fades) * (clear[:, None] * clear > 0)
+    errors = torch.where(clear > 0, covariance.diagonal() / clear.clamp(min=CLARITY[0]), 1.0)
+    # A place is seen about as well ahead as aside.
+    seen = errors[1:][clear[1:] > 0]
+    errors[1:] = errors[1:].clamp(min=_AS_WELL * float(seen.max()) if len(seen) else 0.0)
+    order = [1, 2, 0]  # from the turn, ahead, aside
+    parts = fades[order], covariance[order][:, order], errors[order]
+    return Excess(*parts, shortest)
+
+
+def _covariance(windows: Sequence[tuple[Tensor, ...]], lasts: Tensor) -> Tensor:
+    """Return the covariance [3, 3] of an excess of time constants [3] s, from its windows."""
+    total = torch.zeros(3, 3, dtype=torch.float64)
+    for before, measured, lasted, after in windows:
+        end = variances(measured, lasts)[0].mean(0).sqrt()
+        goes_on = end * (lasts * -torch.expm1(-lasted / lasts)).mean(0)
+        one, other = _limited(before / end), _limited(after / goes_on)
+        total += (one.T @ other).double() / len(before) / len(windows)
+    size = total.diagonal().clamp(min=_SMALLEST).sqrt()
+    alike = (total + total.T) / 2.0 / (size[:, None] * size)
+    apart = (lasts[:, None] / lasts).log().abs() > math.log(_AS_LONG)
+    alike = torch.where((alike.abs() < _LEAST_ALIKE) | apart, 0.0, alike)
+    alike = alike.clamp(-_MOST_ALIKE, _MOST_ALIKE)
+    alike.fill_diagonal_(1.0)
+    # Three correlations need not fit each other.
+    values, vectors = torch.linalg.eigh(alike)
+    alike = (vectors * values.clamp(min=1.0 - _MOST_ALIKE)) @ vectors.T
+    size = size / alike.diagonal().sqrt()
+    return alike * size[:, None] * size
+
+
+def _limited(values: Tensor) -> Tensor:
+    """Return values [W, 3] with the largest ones made smaller."""
+    most = _FAR * values.abs().median(0).values
+    return values.clamp(-most, most)
 
 
 def _windows(

@@ -24,7 +24,7 @@ from neurosim.tasks.nine_rectangles import NineRectangles
 
 TASK = GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.02, heading_tolerance=math.radians(3.0))
 FAMILY = Plan(slots=5)
-FADES = Excess(torch.tensor([0.5, 0.5, 0.5]), torch.full((3,), 1e3), torch.tensor([0.1]))
+FADES = Excess(torch.full((3,), 0.5), torch.eye(3), torch.full((3,), 1e-3), torch.tensor([0.1]))
 QUICK = ReplanSettings(generations=25, draws=8)
 
 

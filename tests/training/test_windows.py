@@ -274,7 +274,7 @@ def test_a_current_is_not_a_floor_but_lasts_from_one_held_command_to_the_next(mo
     simulator = learn(training_data(data), 0, members=3)
     assert simulator.floor is None
     assert simulator.excess.lasts[2] >= 3.2
-    assert simulator.excess.believed(0.4)[2] >= 0.7
+    assert simulator.excess.believed(0.4)[2, 2] >= 0.7
     monkeypatch.setattr(combined.CombinedTrainer, "_glides", False)
     taken = learn(training_data(data), 0, members=3)
     assert taken.floor is not None

@@ -2,17 +2,20 @@ r"""Motion beyond what a robot's commands explain, where it lasts: slip, or a pu
 
 A robot that is seen to move with another twist than the simulated one goes on so for a while. The
 difference e (m/s, m/s, rad/s in the robot's frame) is learned as an Ornstein-Uhlenbeck process of
-variance P and time constant T, that is seen with errors: those of two poses, s seconds apart, make
-one of the speed, of variance R / s^2. Of the measured twist m and the simulated one v follows
+covariance P and time constants T, that is seen with errors: those of two poses, s seconds apart,
+make one of the speed, of variances R / s^2. Of the measured twist m and the simulated one v follows
 
-.. math:: e_{new} = e + g\,(m - (v + e)), \qquad e(t) = e\, \exp(-t / T)
+.. math:: e_{new} = e + G\,(m - (v + e)), \qquad e(t) = e\, \exp(-t / T)
 
-.. math:: g = \frac{a}{b + R / (P s^2)}, \quad
-    a = \frac{1 - e^{-z}}{z}, \quad b = 2\,\frac{z - 1 + e^{-z}}{z^2}, \quad z = s / T
+.. math:: G = A\,(B + R / s^2)^{-1}, \quad A_{ij} = P_{ij} \sqrt{a_i a_j}, \quad
+    B_{ij} = P_{ij} \sqrt{b_i b_j}
 
-for each of the three. P a is the covariance of e at the end with its mean over s, and P b the
-variance of that mean. This is a Kalman filter's correction (Kalman 1960), of one state for each
-component, with the gain of a first measurement.
+.. math:: a = \frac{1 - e^{-z}}{z}, \quad b = 2\,\frac{z - 1 + e^{-z}}{z^2}, \quad z = s / T
+
+A is the covariance of e at the end with its mean over s, and B that of the mean; between parts with
+different time constants, both are approximations. This is a Kalman filter's correction (Kalman
+1960), with the gain of a first measurement. Of a ship that turns more than expected, P tells that
+it also drifts more.
 """
 
 from __future__ import annotations
@@ -32,23 +35,32 @@ class Excess:
 
     Attributes:
         lasts: time constants T of x, y (robot frame) and heading, [3] s.
-        clarity: P / R of each, [3] 1/s^2, 0 or more; 0: a measurement tells nothing.
+        covariance: P, [3, 3] in m^2/s^2, m rad/s^2, rad^2/s^2; 0 for a part of which a measurement
+            tells nothing.
+        errors: R of distances and turns between two poses, [3] m^2, m^2, rad^2.
         shortest: time of the shortest measurement in the rows, [1] s; shorter ones count like it,
             because poses between two that were seen have no errors of their own.
     """
 
     lasts: Tensor
-    clarity: Tensor
+    covariance: Tensor
+    errors: Tensor
     shortest: Tensor
 
     def __post_init__(self) -> None:
-        for name, size in (("lasts", 3), ("clarity", 3), ("shortest", 1)):
+        shapes = {"lasts": (3,), "covariance": (3, 3), "errors": (3,), "shortest": (1,)}
+        for name, shape in shapes.items():
             value = getattr(self, name).detach().double()
-            if tuple(value.shape) != (size,):
-                raise ValueError(f"{name} must be of shape ({size},), not {tuple(value.shape)}")
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{name} must be of shape {shape}, not {tuple(value.shape)}")
             object.__setattr__(self, name, value)
-        if (self.lasts <= 0).any() or (self.clarity < 0).any() or (self.shortest <= 0).any():
-            raise ValueError("lasts and shortest must be above 0, and clarity 0 or more")
+        if any((each <= 0).any() for each in (self.lasts, self.errors, self.shortest)):
+            raise ValueError("lasts, errors and shortest must be above 0")
+        size = float(self.covariance.abs().max())
+        own = torch.linalg.eigvalsh((self.covariance + self.covariance.T) / 2.0)
+        same = torch.allclose(self.covariance, self.covariance.T, rtol=0, atol=1e-9 * size)
+        if not same or float(own.min()) < -1e-9 * size:
+            raise ValueError("covariance must be symmetric, with no eigenvalue below 0")
 
     def faded(self, excess: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the distances [B, 3] by an excess [B, 3] in times [B, 1] s, and what is left."""
@@ -56,12 +68,16 @@ class Excess:
         return self.lasts * (excess - left), left
 
     def believed(self, seconds: Tensor | float) -> Tensor:
-        """Return the gains g of measurements over times [B, 1] s, or one time: [B, 3] or [3]."""
+        """Return the gains G of measurements over times, s: [3, 3] of one, [B, 3, 3] of [B, 1].
+
+        A column is the effect of a part that was measured.
+        """
         time = torch.as_tensor(seconds, dtype=torch.float64).clamp(min=self.shortest)
-        z = time / self.lasts
-        fades = -torch.expm1(-z)
-        certain = self.clarity * time**2
-        return certain * (fades / z) / (1.0 + certain * 2.0 * (z - fades) / z**2)
+        end, mean = (share.sqrt() for share in variances(time, self.lasts))
+        of_end = self.covariance * end.unsqueeze(-1) * end.unsqueeze(-2)
+        of_mean = self.covariance * mean.unsqueeze(-1) * mean.unsqueeze(-2)
+        seen = of_mean + torch.diag_embed(self.errors / time**2)
+        return torch.linalg.solve(seen, of_end.mT).mT
 
     def corrected(self, excess: Tensor, off: Tensor, seconds: float) -> Tensor:
         """Return an excess [B, 3] by which speeds were measured; NaN: they were not.
@@ -71,4 +87,11 @@ class Excess:
             off: measured minus simulated twists, [B, 3].
             seconds: time over which they were measured, s.
         """
-        return excess + self.believed(seconds) * off.nan_to_num(0.0)
+        return excess + off.nan_to_num(0.0) @ self.believed(seconds).T
+
+
+def variances(time: Tensor, lasts: Tensor) -> tuple[Tensor, Tensor]:
+    """Return a and b of the module for times and time constants, s, of shapes that fit."""
+    z = time / lasts
+    fades = -torch.expm1(-z)
+    return fades / z, 2.0 * (z - fades) / z**2

@@ -40,7 +40,7 @@ from neurosim.simulators.motion.sensors import TENSORS, Sensors
 _OLDEST, _MEASURED = 13, 14
 
 #: The tensors of kernel units, and of an excess.
-KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "clarity", "shortest")
+KERNEL, EXCESS = ("centres", "lengths", "weights"), ("lasts", "covariance", "errors", "shortest")
 
 #: The name of the noise model in simulator.json; its numbers are stored with the weights.
 NOISE = {
@@ -165,7 +165,9 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             field="excess",
         )
     if exceeds:
-        expected |= dict(zip((f"excess.{k}" for k in EXCESS), ((3,), (3,), (1,)), strict=True))
+        expected |= dict(
+            zip((f"excess.{k}" for k in EXCESS), ((3,), (3, 3), (3,), (1,)), strict=True)
+        )
     stored = content.get("domain")
     if stored is not None:
         expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)
