@@ -26,7 +26,8 @@ Constants were chosen on some of the robots: those of learning by windows and of
 on ``dart``, ``boat`` and all three floors. But for this, ``gravel`` and ``sand`` are only reported,
 as are ``utias``, ``lab 105``, ``four wheels`` and the ship of :mod:`model_ship`; ships of other
 lengths and numbers decided how a measured speed counts for held commands, and that they have no
-floor. That a measured turn tells of the drift was seen on this one, too. Labs, ``four wheels`` and boats, simulated, are driven as by hand.
+floor. That a measured turn tells of the drift was seen on this one, too. Labs, ``four wheels`` and
+boats, simulated, are driven as by hand.
 
 On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
 expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).
