@@ -27,6 +27,8 @@ from torch import Tensor
 
 #: Names of the columns of a state.
 NAMES = ("excess_x", "excess_y", "excess_theta")
+#: Largest difference of a measured speed that counts, in standard deviations.
+MOST = 8.0
 
 
 @dataclass(frozen=True)
@@ -67,27 +69,32 @@ class Excess:
         left = excess * torch.exp(-time / self.lasts)
         return self.lasts * (excess - left), left
 
-    def believed(self, seconds: Tensor | float) -> Tensor:
-        """Return the gains G of measurements over times, s: [3, 3] of one, [B, 3, 3] of [B, 1].
-
-        A column is the effect of a part that was measured.
-        """
-        time = torch.as_tensor(seconds, dtype=torch.float64).clamp(min=self.shortest)
-        end, mean = (share.sqrt() for share in variances(time, self.lasts))
-        of_end = self.covariance * end.unsqueeze(-1) * end.unsqueeze(-2)
-        of_mean = self.covariance * mean.unsqueeze(-1) * mean.unsqueeze(-2)
-        seen = of_mean + torch.diag_embed(self.errors / time**2)
-        return torch.linalg.solve(seen, of_end.mT).mT
+    def believed(self, seconds: float) -> Tensor:
+        """Return the gains G of a measurement over a time, s: a column for each part, [3, 3]."""
+        seen, end = self._seen(seconds)
+        return torch.linalg.solve(seen, end.T).T
 
     def corrected(self, excess: Tensor, off: Tensor, seconds: float) -> Tensor:
         """Return an excess [B, 3] by which speeds were measured; NaN: they were not.
+
+        A robot that was seen to jump, by mistake or by a hand, does not go on so: a difference
+        counts up to :data:`MOST` standard deviations.
 
         Args:
             excess: until now, [B, 3].
             off: measured minus simulated twists, [B, 3].
             seconds: time over which they were measured, s.
         """
-        return excess + off.nan_to_num(0.0) @ self.believed(seconds).T
+        most = MOST * self._seen(seconds)[0].diagonal().sqrt()
+        off = torch.maximum(torch.minimum(off.nan_to_num(0.0), most), -most)
+        return excess + off @ self.believed(seconds).T
+
+    def _seen(self, seconds: float) -> tuple[Tensor, Tensor]:
+        """Return the covariances [3, 3] of what is seen, and of the excess at its end with it."""
+        time = self.shortest.clamp(min=seconds)
+        end, mean = (part.sqrt() for part in variances(time, self.lasts))
+        of_end, of_mean = (self.covariance * part[:, None] * part for part in (end, mean))
+        return of_mean + torch.diag(self.errors / time**2), of_end
 
 
 def variances(time: Tensor, lasts: Tensor) -> tuple[Tensor, Tensor]:
