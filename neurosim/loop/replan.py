@@ -37,6 +37,8 @@ from neurosim.tasks.base import Interval, Judgement, Records, Task
 #: Probability of success without further commands at which the task counts as done; below it, a
 #: robot without a better command searches again.
 DONE = 0.5
+#: Longest time between the poses amid a command that are judged, s.
+_PIECE = 0.25
 #: Mutation of the first population, around the rest of the plan.
 GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05)
 
@@ -136,8 +138,8 @@ class Replanner:
         self._state = np.empty((0, 0))
         self._commands: list[Command] = []
         self._poses: list[NDArray[np.float64]] = []
-        #: Poses in the middle of the commands, as simulated.
-        self._middles: list[NDArray[np.float64]] = []
+        #: Poses amid each command, [M, 3], as simulated on the way to where it was seen.
+        self._amid: list[NDArray[np.float64]] = []
         self.foreseen: list[Foreseen] = []
 
     def next(self, pose: NDArray[np.float64], ahead: float = 0.0) -> Command | None:
@@ -149,7 +151,7 @@ class Replanner:
         """
         began = 0.0 if self._clock is None else self._clock.now()
         self._arrive(np.asarray(pose, np.float64), ahead)
-        self._onward.here(self._state[0], self._poses, self._middles, np.array(self._commands))
+        self._onward.here(self._state[0], self._poses, self._amid, np.array(self._commands))
         self._genes, probability, rest, generations = self._search(began)
         slots = commands_of(self._plan, self._genes)
         place = next((i for i, command in enumerate(slots) if command is not None), None)
@@ -227,8 +229,11 @@ class Replanner:
             self._poses.append(pose)
             return
         *numbers, duration = self._commands[-1]
-        half = np.array([[*numbers, duration / 2]])
-        self._middles.append(self._stepper.step(self._state, half, None)[0, :3])
+        pieces = max(math.ceil(duration / _PIECE), 1)
+        piece, way, amid = np.array([[*numbers, duration / pieces]]), self._state, []
+        for _ in range(pieces):
+            way = self._stepper.step(way, piece, None)
+            amid.append(way[0, :3])
         ahead = min(max(ahead, 0.0), duration)
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
@@ -239,6 +244,9 @@ class Replanner:
         true = np.array([pose[0], pose[1], turned])
         self._state[0, :3] = se2.compose(true, se2.between(seen, self._state[0, :3]))
         self._poses.append(self._state[0, :3].copy())
+        off = self._poses[-1] - amid[-1]
+        fractions = np.arange(1, pieces)[:, None] / pieces
+        self._amid.append(np.array(amid)[:-1] + fractions * off)
 
     def _search(self, began: float) -> tuple[NDArray[np.float64], float, NDArray[np.float64], int]:
         """Return the best plan [G] found in time, and its predictions.
@@ -306,21 +314,19 @@ class _Onward(Evaluator):
         self,
         state: NDArray,
         poses: Sequence[NDArray],
-        middles: Sequence[NDArray],
+        amid: Sequence[NDArray],
         commands: NDArray,
     ) -> None:
-        """Set the state [S], after K + 1 poses [3], K commands [K, C] and poses amid these [3]."""
+        """Set the state [S]: after K + 1 poses [3], K commands [K, C], poses amid each [M, 3]."""
         self._state, self._earlier = state, None
         if not len(commands):
             return
         self._earlier = Records(self.task, poses[0][None])
-        for before, middle, pose, command in zip(poses, middles, poses[1:], commands, strict=False):
-            lasts = command[None, -1]
-            if abs(pose[2] - before[2]) > np.pi:
-                # The arc between the ends of a spin is far larger than its way.
-                lasts = lasts / 2
-                half = Interval(middle[None], lasts, ends=False, commands=command[None])
-                self._earlier.add(half)
+        for way, pose, command in zip(amid, poses[1:], commands, strict=True):
+            # A curve, and a spin all the more, is not the arc between its ends.
+            lasts = command[None, -1] / (len(way) + 1)
+            for seen in way:
+                self._earlier.add(Interval(seen[None], lasts, ends=False, commands=command[None]))
             self._earlier.add(Interval(pose[None], lasts, commands=command[None]))
 
     def scored(self, trajectory: Trajectory) -> Judgement:

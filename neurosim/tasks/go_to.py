@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from neurosim.base.declared import Metres, MetresOrNone, Pose, Seconds, Step, Turn
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.base.place import Place, to_segment
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 #: Distance of a robot whose pose is unknown, m.
 _FAR = 1e3
+#: Distance of a piece of an arc from its chord that does not count, m; longest piece, on which only
+#: one goal is passed, m; largest number of pieces.
+_STRAIGHT, _LONG, _PIECES = 0.003, 0.2, 24
 
 
 @dataclass(frozen=True)
@@ -134,8 +138,23 @@ class GoTo(Task):
         return record
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
-        """Add an interval, in which the robot moves straight; nothing counts after a wall."""
-        self._add(record, _finite(interval.poses))
+        """Add an interval, in which the robot drives an arc; nothing counts after a wall.
+
+        An arc longer than any robot drives in one command is replaced by a straight line.
+        """
+        before, poses = record[:, 1:4].copy(), _finite(interval.poses)
+        moved = se2.between(before, poses)
+        length = se2.arc_length(moved)
+        curved = length <= LONGEST_ARC
+        bent = np.sqrt(length * np.abs(moved[:, 2]) / 8.0 / _STRAIGHT)
+        most = np.maximum(bent, length / _LONG)[curved].max(initial=0.0)
+        pieces = min(math.ceil(most), _PIECES)
+        for piece in range(1, pieces):
+            between = before + piece / pieces * (poses - before)
+            arc = se2.arc(moved[curved], np.asarray(piece / pieces))
+            between[curved] = se2.compose(before[curved], arc)
+            self._add(record, between)
+        self._add(record, poses)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return passed goals and the accuracy at the last; ``distance`` (m), ``turn`` (rad)."""

@@ -200,7 +200,7 @@ def test_a_spin_is_judged_by_its_way_not_by_the_arc_between_its_ends():
     task, turned = NineRectangles(), -6.46
     replanner = Replanner(IdealWheels(), task, Plan(slots=3), settings=QUICK)
     poses = np.array([task.start, (-0.8, 0.5, 1.2), (0.1, 0.36, 0.3), (0.12, 0.36, 0.3 + turned)])
-    middles = (poses[1:] + poses[:-1]) / 2
+    middles = ((poses[1:] + poses[:-1]) / 2)[:, None]
     commands = np.array([[30.0, 30.0, 2.0], [30.0, 30.0, 2.0], [20.0, -20.0, 2.5]])
     along_arcs = Records(task, poses[:1])
     for pose in poses[1:, None]:
@@ -209,6 +209,32 @@ def test_a_spin_is_judged_by_its_way_not_by_the_arc_between_its_ends():
     replanner.begin()
     replanner._onward.here(np.zeros(3), list(poses), list(middles), commands)
     assert not replanner._onward._earlier.over().any()
-    middles[2, 1] = 0.1  # it really was there
+    middles[2, 0, 1] = 0.1  # it really was there
     replanner._onward.here(np.zeros(3), list(poses), list(middles), commands)
     assert replanner._onward._earlier.over().all()
+
+
+def test_a_goal_beside_a_curve_is_not_passed():
+    """A curve that leads around a goal, and ends where it was seen, 2 cm aside."""
+    command, twist = (10.0, 30.0, 3.0), 3.0 * np.array([40 / 400, 0.0, 20 / 26])
+    start, off = np.zeros(3), np.array([0.0, 0.02, 0.0])
+    seen = se2.exp(twist) + off
+    for inside, passed in ((0.5, 0), (0.95, 1)):
+        middle = se2.exp(twist / 2)[:2]
+        x, y = inside * middle + (1.0 - inside) * seen[:2] / 2
+        task = GoTo(goals=((x, y, 0.0), (1.0, 0.5, 0.0)), within=0.03)
+        replanner = Replanner(IdealWheels(), task, Plan(slots=2), settings=QUICK)
+        replanner.begin()
+        replanner._arrive(start, 0.0)
+        replanner._commands[:] = [command]
+        replanner._arrive(seen, 0.0)
+        (amid,) = replanner._amid
+        assert len(amid) == 11
+        # As simulated, and moved aside in proportion to the time.
+        for place in (3, 8):
+            part = (place + 1) / 12
+            wanted = se2.exp(twist * part) + part * off
+            assert amid[place] == pytest.approx(wanted, abs=1e-6)
+        assert replanner._poses[-1] == pytest.approx(seen)
+        replanner._onward.here(seen, replanner._poses, replanner._amid, np.array([command]))
+        assert replanner._onward._earlier.own[0, 4] == passed

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import write_json
 from neurosim.base.place import Place
@@ -46,6 +47,52 @@ def test_between_two_poses_the_robot_passes_what_is_on_the_way():
     # A single command leads past the first goal at 7 cm.
     assert int(drive((0, 0.07), (1.0, 0.07)).detail["passed"]) == 1
     assert int(drive((0, 0.09), (1.0, 0.09)).detail["passed"]) == 0
+
+
+def test_a_curved_command_passes_what_is_on_its_arc_not_on_its_chord():
+    # Half a circle to the left of radius 0.4 m, from (0, 0) to (0, 0.8).
+    task = GoTo(goals=((0.4, 0.4, 0.0), (0.0, 0.8, 0.0)), within=0.05, tolerance=0.05)
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.8, math.pi]])
+    assert task.judge(Trajectory(poses, np.zeros((1, 3)), 1.0)).success
+    chord = GoTo(goals=((0.0, 0.4, 0.0), (0.0, 0.8, 0.0)), within=0.05, tolerance=0.05)
+    judged = chord.judge(Trajectory(poses, np.zeros((1, 3)), 1.0))
+    assert reason(judged) == "did not pass all goals"
+    assert judged.fitness == pytest.approx(0.0, abs=0.05)
+    # To the right it is the other half; and a heading that is not known leaves the chord.
+    other = poses * (1.0, 1.0, -1.0)
+    assert not task.judge(Trajectory(other, np.zeros((1, 3)), 1.0)).success
+    whole = np.array([[0.0, 0.0, 0.0], [0.0, 0.8, 2 * math.pi]])
+    assert int(chord.judge(Trajectory(whole, np.zeros((1, 3)), 1.0)).detail["passed"]) == 1
+
+
+def test_one_straight_command_passes_several_goals():
+    task = GoTo(goals=((0.4, 0.0, 0.0), (0.8, 0.0, 0.0)), within=0.08, tolerance=0.05)
+    poses = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]])
+    assert task.judge(Trajectory(poses, np.zeros((1, 3)), 1.0)).success
+
+
+def test_an_arc_that_touches_a_wall_is_seen_to():
+    # Around the wall on its chord, at a distance of 0.2 m at least, or into one on its way.
+    around = Place(walls=((-0.1, 0.4, 0.1, 0.4),))
+    task = GoTo(goals=((0.0, 0.8, 0.0),), place=around, radius=0.1)
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.8, math.pi]])
+    assert task.judge(Trajectory(poses, np.zeros((1, 3)), 1.0)).success
+    into = GoTo(goals=task.goals, place=Place(walls=((0.35, 0.4, 0.45, 0.4),)), radius=0.1)
+    assert reason(into.judge(Trajectory(poses, np.zeros((1, 3)), 1.0)), into) == into.reasons[0]
+
+
+@pytest.mark.parametrize("turn", [0.4, -1.5, 3.0, 5.0])
+def test_an_arc_is_judged_like_many_short_commands(turn):
+    rng, twist = np.random.default_rng(0), np.array([0.6, 0.1, turn])
+    many = np.array([se2.exp(twist * part) for part in np.linspace(0, 1, 201)])
+    for _ in range(20):
+        x, y = rng.uniform(-0.6, 0.6, 2)
+        task = GoTo(goals=((x, y, 0.0), (50.0, 0.0, 0.0)), within=0.1)
+        once = task.judge(Trajectory(many[[0, -1]], np.zeros((1, 3)), 1.0))
+        often = task.judge(Trajectory(many, np.zeros((200, 3)), 0.01))
+        nearest = float(np.hypot(*(many[:, :2] - (x, y)).T).min())
+        if abs(nearest - 0.1) > 0.003:
+            assert int(once.detail["passed"]) == int(often.detail["passed"]) == (nearest < 0.1)
 
 
 def test_a_robot_that_drives_past_the_last_goal_did_not_stop_there():
