@@ -230,10 +230,10 @@ class Replanner:
             return
         *numbers, duration = self._commands[-1]
         pieces = max(math.ceil(duration / _PIECE), 1)
-        piece, way, amid = np.array([[*numbers, duration / pieces]]), self._state, []
+        piece, state, amid = np.array([[*numbers, duration / pieces]]), self._state, []
         for _ in range(pieces):
-            way = self._stepper.step(way, piece, None)
-            amid.append(way[0, :3])
+            state = self._stepper.step(state, piece, None)
+            amid.append(state[0, :3])
         ahead = min(max(ahead, 0.0), duration)
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
@@ -322,10 +322,10 @@ class _Onward(Evaluator):
         if not len(commands):
             return
         self._earlier = Records(self.task, poses[0][None])
-        for way, pose, command in zip(amid, poses[1:], commands, strict=True):
+        for path, pose, command in zip(amid, poses[1:], commands, strict=True):
             # A curve, and a spin all the more, is not the arc between its ends.
-            lasts = command[None, -1] / (len(way) + 1)
-            for seen in way:
+            lasts = command[None, -1] / (len(path) + 1)
+            for seen in path:
                 self._earlier.add(Interval(seen[None], lasts, ends=False, commands=command[None]))
             self._earlier.add(Interval(pose[None], lasts, commands=command[None]))
 

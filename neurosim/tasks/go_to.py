@@ -145,15 +145,15 @@ class GoTo(Task):
         before, poses = record[:, 1:4].copy(), _finite(interval.poses)
         moved = se2.between(before, poses)
         length = se2.arc_length(moved)
-        curved = length <= LONGEST_ARC
-        bent = np.sqrt(length * np.abs(moved[:, 2]) / 8.0 / _STRAIGHT)
-        most = np.maximum(bent, length / _LONG)[curved].max(initial=0.0)
-        pieces = min(math.ceil(most), _PIECES)
-        for piece in range(1, pieces):
-            between = before + piece / pieces * (poses - before)
-            arc = se2.arc(moved[curved], np.asarray(piece / pieces))
-            between[curved] = se2.compose(before[curved], arc)
-            self._add(record, between)
+        curved, pieces = length <= LONGEST_ARC, np.ones(len(poses))
+        length, turn = length[curved], np.abs(moved[curved, 2])
+        most = np.maximum(np.sqrt(length * turn / 8.0 / _STRAIGHT), length / _LONG)
+        pieces[curved] = np.clip(np.ceil(most), 1.0, _PIECES)
+        for piece in range(1, int(pieces.max(initial=1.0))):
+            rows = np.flatnonzero(pieces > piece)
+            own = record[rows]
+            self._add(own, se2.compose(before[rows], se2.arc(moved[rows], piece / pieces[rows])))
+            record[rows] = own
         self._add(record, poses)
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
