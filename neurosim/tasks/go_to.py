@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _FAR = 1e3
 #: Distance of a piece of an arc from its chord that does not count, m; longest piece, on which only
 #: one goal is passed, m; largest number of pieces.
-_STRAIGHT, _LONG, _PIECES = 0.003, 0.2, 24
+_STRAIGHT, _LONG, _PIECES = 0.005, 0.2, 24
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,14 @@ class GoTo(Task):
 
         An arc longer than any robot drives in one command is replaced by a straight line.
         """
-        before, poses = record[:, 1:4].copy(), _finite(interval.poses)
+        poses = _finite(interval.poses)
+        # Of short steps nothing more needs to be computed.
+        change = np.abs(poses - record[:, 1:4])
+        x, y, turns = (float(change[:, column].max(initial=0.0)) for column in range(3))
+        if turns <= 1.0 and 1.1 * (x + y) * max(turns / 8.0 / _STRAIGHT, 1.0 / _LONG) <= 1.0:
+            self._add(record, poses)
+            return
+        before = record[:, 1:4].copy()
         moved = se2.between(before, poses)
         length = se2.arc_length(moved)
         curved, pieces = length <= LONGEST_ARC, np.ones(len(poses))
