@@ -2,7 +2,8 @@
 
 ``golden.json`` was written before the compiled loops became one. The results of motion networks
 were written later, by the last code in which product units could have phases and ceilings, of
-networks without these. Poses agree to a micrometre, and fitness to the effect of such a difference.
+networks without these; the fitness of go-to, once its commands were judged on their arcs. Poses
+agree to a micrometre, and fitness to the effect of such a difference.
 A statistic of samples may use other random numbers, and agrees within its scatter.
 """
 
