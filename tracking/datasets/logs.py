@@ -36,8 +36,8 @@ REASONS = {
 #: Number of held commands below which rows may follow one another, the fraction of the time that
 #: held commands take below which they may, and smallest number of such rows.
 FEW, MOST_OF_IT, LEAST = 100, 0.75, 20
-#: Longest gap by default, s; where samples or poses are farther apart, up to a limit, s: in times
-#: that they are.
+#: Longest gap by default, s. Where samples or poses are farther apart than this, up to the second
+#: number, s, it is a multiple of their distance.
 _GAP, _RAREST, _GAPS = 0.5, 2.0, 2.5
 #: Time between poses within such rows, s.
 _WITHIN = 0.25
@@ -99,7 +99,7 @@ class Settings(Checked):
         gap = round(_GAPS * apart, 3)
         return replace(self, longest_gap=gap), [
             f"samples or poses are {apart:.3g} s apart, so gaps of up to {gap:g} s are allowed "
-            "(--longest-gap); look whether --time is right"
+            "(--longest-gap); if that time is wrong, check --time"
         ]
 
 

@@ -21,8 +21,8 @@ from neurosim.base import se2
 from neurosim.base.errors import FileError
 from tracking.datasets.logs import Log, Settings, is_known, off_axis
 
-#: Times that a pose usually stays, after which the robot stood.
-_RARELY = 3.0
+#: A robot stood if its pose stayed for more than this multiple of the usual time.
+_STOOD = 3.0
 #: Silence of the clock, in multiples of the longest gap, that separates drives.
 _SILENCE = 10.0
 #: Speed of a jump, in multiples of the speed of all but 5 % of the steps, of that of all but 1 % of
@@ -206,7 +206,7 @@ def _old(time: NDArray, poses: NDArray, longest: float) -> NDArray[np.bool_]:
     again[1:] = (poses[1:] == poses[:-1]).all(axis=1)
     fresh = np.flatnonzero(~again)
     lasted = np.append(time[fresh[1:]], time[-1]) - time[fresh]
-    stood = lasted > max(longest, _RARELY * float(np.median(lasted)))
+    stood = lasted > max(longest, _STOOD * float(np.median(lasted)))
     stands = np.repeat(stood, np.diff(np.append(fresh, len(time))))
     moving = ~stands
     if again[moving].sum() <= moving.sum() / 2:
