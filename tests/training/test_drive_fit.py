@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of
+from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of, terms_of
 from neurosim.simulators.motion.network import rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -20,8 +20,11 @@ from neurosim.training.trainers.drive_fit import (
     body_modes,
     fit_drive,
     regressions,
+    terms_near_zero,
 )
 
+#: Terms of full speed ahead of modes, and of its square alone.
+AHEAD = torch.tensor([[1, 0, 1, 0, 0], [0, 0, 1, 0, 0]], dtype=torch.float64)
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
 
@@ -129,10 +132,13 @@ def test_a_robot_that_loses_nothing_in_curves_has_no_losses():
     assert not fit_drive(in_curves(0.0, 0.0)).drive.losses.any()
 
 
-def heavy(forward: float, turn: float, modes: bool = True, drag: float = 0.0) -> Motion:
+def heavy(
+    forward: float, turn: float, modes: bool = True, drag: float = 0.0, noise: float = 0.001
+) -> Motion:
     """Return rows, one straight into the next, of a robot with two lags (s).
 
-    They are of forward motion and the turn, or of the two wheels; ``drag`` is of the first.
+    They are of forward motion and the turn, or of the two wheels; ``drag`` is of the first. The
+    ``noise`` is that of displacements, m and rad.
     """
     rng = np.random.default_rng(3)
     double = torch.float64
@@ -156,7 +162,7 @@ def heavy(forward: float, turn: float, modes: bool = True, drag: float = 0.0) ->
         changing, twist = true.phases(under, goal, lasts)
         moved.append(se2.compose(changing, se2.exp(twist)))
         under = true.after(under, goal, lasts, true.reached(under, goal, lasts))
-    y = torch.cat(moved) + torch.tensor(rng.normal(0.0, 0.001, (200, 3)))
+    y = torch.cat(moved) + torch.tensor(rng.normal(0.0, noise, (200, 3)))
     follows = torch.arange(200) > 0
     return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0)
 
@@ -225,6 +231,31 @@ def test_forward_motion_and_turn_are_modes_of_four_wheels_too():
     assert torch.linalg.matrix_rank(modes) == 4
     # Those of a robot that is commanded by them are its actuators.
     assert body_modes(torch.tensor([[0.4, 0.01], [0.0, 0.0], [0.02, 2.0]]).double()) is None
+
+
+def test_terms_that_a_symmetric_body_cannot_have_are_held_nearer_zero():
+    # Terms: forward, turn; their products 11, 12, 22; losses of both.
+    rows = replace(heavy(2.5, 0.5), symmetric=True)
+    turn, shift = terms_near_zero(rows, terms_of(2))
+    assert turn.tolist() == [0, 0, 400, 1, 400, 400, 1]
+    assert shift.tolist() == [0, 0, 1, 400, 1, 1, 400, 0, 0, 400, 1, 400, 400, 1]
+    turn, shift = terms_near_zero(replace(rows, symmetric=False), features_of(2))
+    assert turn.tolist() == [0, 0, 1, 1, 1]
+    assert shift.tolist() == 2 * turn.tolist()
+
+
+@pytest.mark.slow
+def test_a_symmetric_body_of_few_rows_drives_nearly_straight_ahead():
+    rows = heavy(2.5, 0.5, noise=0.03)
+    few = replace(rows, x=rows.x[:100], y=rows.y[:100], follows=rows.follows[:100])
+    turns = []
+    for without in ((), ("symmetry",)):
+        fit = fit_drive(few, without=without)
+        assert fit.rows.symmetric == (not without)
+        # Of full speed ahead, and of its square.
+        turns.append([abs(float(k @ fit.drive.kinematics[:, 2])) for k in AHEAD])
+    assert turns[0][0] < 0.75 * turns[1][0]
+    assert turns[0][1] < 0.4 * turns[1][1]
 
 
 def test_a_regression_without_rows_has_no_weights():

@@ -51,8 +51,8 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, runs_of
 OUTPUTS = 3
 #: Parts that can be left out, to measure their effect.
 MECHANISMS = (
-    *("laws", "modes", "car", "straight", "drift", "dead_band", "swing", "process", "row_weights"),
-    *("drive_members", "floor", "spread", "excess"),
+    *("laws", "modes", "symmetry", "car", "straight", "drift", "dead_band", "swing", "process"),
+    *("row_weights", "drive_members", "floor", "spread", "excess"),
 )
 #: Number of stretches of time; alternate ones form the two halves of the rows.
 STRETCHES = 24
@@ -126,14 +126,14 @@ class CombinedSettings(Checked):
         whole_commands: Learn from whole commands alone, not from parts of them.
         without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
             and other parameters of the actuators), ``modes`` (these laws for a body that is slower
-            than its actuators), ``car`` (a robot that turns only while it drives), ``straight``
-            (speeds proportional to commands), ``drift`` (a lag of products and losses),
-            ``dead_band``, ``swing`` (how a caster turns when the direction changes), ``process``
-            (the Gaussian process), ``row_weights`` (rows with larger errors count less),
-            ``drive_members`` (a drive model for each member), ``floor`` (a map of the slip over the
-            board), ``spread`` (the size of noise and of members' differences by runs of commands or
-            windows of a log), ``excess`` (how long a speed that is measured lasts; learned with
-            ``spread``).
+            than its actuators), ``symmetry`` (of such a body), ``car`` (a robot that turns only
+            while it drives), ``straight`` (speeds proportional to commands), ``drift`` (a lag of
+            products and losses), ``dead_band``, ``swing`` (how a caster turns when the direction
+            changes), ``process`` (the Gaussian process), ``row_weights`` (rows with larger errors
+            count less), ``drive_members`` (a drive model for each member), ``floor`` (a map of the
+            slip over the board), ``spread`` (the size of noise and of members' differences by runs
+            of commands or windows of a log), ``excess`` (how long a speed that is measured lasts;
+            learned with ``spread``).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 16

@@ -102,8 +102,9 @@ _FIRST_DRAG, _SLUGGISH = 0.5, 0.3
 #: Smallest number of rows for quadratic drag, for learning how the size of errors depends on the
 #: commands, and for members' laws that are searched to the end.
 _SIZED = 100
-#: Prior part of products in the target, as a fraction.
-_PRODUCTS = 0.05
+#: Prior part of products in the target, as a fraction, and by how much it is less for those that a
+#: symmetric body cannot have.
+_PRODUCTS, _SYMMETRIC = 0.05, 20.0
 #: Degrees of freedom of errors, and error from which Huber's loss is linear.
 FREEDOM, _HUBER = 2.0, 1.345
 #: Number of steps of iteratively reweighted least squares.
@@ -353,6 +354,7 @@ class Motion:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
+        symmetric: whether the prior is that of a body with two like sides.
         drift: that of the drive models that are fitted, s.
         precision: reciprocal of the relative size of the errors of turns and of translations, [2,
             N]; None: all are alike.
@@ -369,6 +371,7 @@ class Motion:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
+    symmetric: bool = False
     drift: tuple[float, float] = (0.0, 0.0)
     precision: Tensor | None = None
 
@@ -467,6 +470,7 @@ class Rows(Protocol):
         modes: of the drive models that are fitted, [C, C].
         steered: whether the prior is that of a car.
         straight: whether the prior holds static curves nearly straight.
+        symmetric: whether the prior is that of a body with two like sides.
         drift: that of the drive models that are fitted, s.
         belief: gain in log-likelihood for accepting a delay.
     """
@@ -487,6 +491,9 @@ class Rows(Protocol):
 
     @property
     def straight(self) -> bool: ...
+
+    @property
+    def symmetric(self) -> bool: ...
 
     @property
     def drift(self) -> tuple[float, float]: ...
@@ -555,8 +562,9 @@ def fit_drive(rows: Rows, band: Tensor | None = None, without: Collection[str] =
         rows: the rows.
         band: dead bands, scaled, [C]; found from the rows if not given.
         without: what is left out, though it might fit the rows better: the actuators' ``laws``
-            (speeds are reached at once), laws of the body's ``modes``, the prior of a ``car``, that
-            of nearly ``straight`` static curves, and a ``drift``, a lag of products and losses.
+            (speeds are reached at once), laws of the body's ``modes`` and their ``symmetry``, the
+            prior of a ``car``, that of nearly ``straight`` static curves, and a ``drift``, a lag of
+            products and losses.
     """
     fit = _fit_evenly(rows, band, without)
     if fit.searched and "drift" not in without:
@@ -618,11 +626,12 @@ def _fit_evenly(rows: Rows, band: Tensor | None, without: Collection[str]) -> Fi
     modes = body_modes(twists[0, :count].T) if body else None
     if modes is None:
         return fit
-    of_modes = replace(searched, modes=modes)
+    of_body = {"modes": modes, "symmetric": "symmetry" not in without}
+    of_modes = replace(searched, **of_body)
     slow = _roughly(of_modes, *limits)
     if _costs(searched, roughly[None], none) - _costs(of_modes, slow[None], none) < _INERT:
         return fit
-    inert, less = _fully(replace(rows, modes=modes), slow, band, *limits, straight)
+    inert, less = _fully(replace(rows, **of_body), slow, band, *limits, straight)
     return inert if cost - less > _INERT else fit
 
 
@@ -963,7 +972,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     """Return the best kinematics [P, F, 3], and their errors."""
     x, y, within = motion.x, motion.y, motion.within
     pieces, parts, late, late_parts = motion.distances(actuators)
-    of_turn, of_shift = terms_near_zero(len(motion.columns.driven), pieces.shape[2], motion.steered)
+    of_turn, of_shift = terms_near_zero(motion, pieces.shape[2])
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
     precision = torch.ones_like(y[:, :2]).T if motion.precision is None else motion.precision
@@ -984,7 +993,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     (ahead, aside), (late_ahead, late_aside) = map(turned, late.unbind(1))
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-late_aside, late_ahead], 2)], 1)
     target = (moved[:, :2].T * precision[1]).flatten()
-    speeds, shifts_left = regressions(both, target, of_shift.repeat(2), weight.repeat(2))
+    speeds, shifts_left = regressions(both, target, of_shift, weight.repeat(2))
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
@@ -1006,25 +1015,36 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     return kinematics, errors
 
 
-def terms_near_zero(count: int, width: int, steered: bool) -> tuple[Tensor, Tensor]:
-    """Return which terms the prior holds near zero: of the turn, and of the translation, [width].
+def terms_near_zero(rows: Rows, width: int) -> tuple[Tensor, Tensor]:
+    """Return how near zero the prior holds the terms of the turn, [F], and the translation, [2 F].
 
-    They are products and losses. Where rows do not tell the terms of the turn from each other, say
-    because a car always drove at one speed, this prior decides. That of a car turns only while it
-    moves: all terms of its turn are near zero but the products of two actuators.
+    It is 0 where the prior leaves a term free, 1 where it holds it, and more where it holds it
+    nearer. Held are products and losses. Where rows do not tell the terms of the turn from each
+    other, say because a car always drove at one speed, this prior decides. That of a car turns only
+    while it moves: all terms of its turn are near zero but the products of two actuators.
+
+    A symmetric body's mirror image, driven with the opposite turn, makes the mirror image of the
+    motion. So its turn and its sideways motion change their sign with the second mode, the turn,
+    and its forward motion does not; terms that would break this are held nearer zero.
 
     Args:
-        count: C, number of actuators.
-        width: number of terms.
-        steered: whether the robot is a car.
+        rows: with C actuators or modes; if it is symmetric, forward motion and the turn are first.
+        width: F, number of terms.
     """
-    products = torch.arange(width) >= count
-    if not steered:
-        return products, products
-    pairs = [i != j for i in range(count) for j in range(i, count)]
-    of_two = torch.zeros(width, dtype=torch.bool)
-    of_two[count : count + len(pairs)] = torch.tensor(pairs)
-    return ~of_two, products
+    count = len(rows.columns.driven)
+    pairs = [(i, j) for i in range(count) for j in range(i, count)]
+    held = (torch.arange(width) >= count).double()
+    turn, ahead, aside = held.clone(), held.clone(), held.clone()
+    if rows.steered:
+        alone = torch.tensor([float(i == j) for i, j in pairs], dtype=held.dtype)
+        turn = torch.cat([torch.ones(count), alone, torch.ones(width)])[:width].double()
+    if rows.symmetric:
+        # Nothing is known of the sides of modes after the second.
+        sign = torch.tensor([1.0, -1.0, *[0.0] * (count - 2)])
+        signs = torch.cat([0.0 * sign, torch.stack([sign[i] * sign[j] for i, j in pairs]), sign])
+        signs = signs[:width]
+        ahead[signs < 0.0] = turn[signs > 0.0] = aside[signs > 0.0] = _SYMMETRIC**2
+    return turn, torch.cat([ahead, aside])
 
 
 def regressions(
@@ -1041,9 +1061,9 @@ def regressions(
     Args:
         features: [P, F, N]: of speeds, products and losses.
         target: [N].
-        near_zero: whether the prior holds a weight near zero, [F].
+        near_zero: how near zero the prior holds a weight, [F], see :func:`terms_near_zero`.
         weight: what each row counts, [N].
-        products: prior fraction of the target that such terms explain.
+        products: prior fraction of the target that terms explain at 1.
         kind: of the rows, whose errors differ in size, [N], 0, 1 ...; None: all are of one kind.
         student: whether errors have Student's t distribution; if not, Huber's loss is minimised.
     """

@@ -246,6 +246,7 @@ class Chains:
         modes: of the drive models that are fitted, [C, C]; None: the laws are of actuators.
         steered: whether the prior is that of a car, see :func:`terms_near_zero`.
         straight: whether the prior holds static curves nearly straight.
+        symmetric: whether the prior is that of a body with two like sides.
         drift: that of the drive models that are fitted, s.
     """
 
@@ -262,6 +263,7 @@ class Chains:
     modes: Tensor | None = None
     steered: bool = False
     straight: bool = False
+    symmetric: bool = False
     drift: tuple[float, float] = (0.0, 0.0)
 
     #: Windows begin anywhere in a command, also while its delay lasts.
@@ -441,7 +443,7 @@ class Chains:
         path = se2.path(self.y)
         distance, heading = until(by_row(features)), path[:, 2]
         turn = heading[end] - heading[first]
-        of_turn, of_shift = terms_near_zero(self.commanded.shape[1], width, self.steered)
+        of_turn, of_shift = terms_near_zero(self, width)
         rate, turns_left = _regression(distance[end] - distance[first], turn, of_turn, windows)
         # The turn of a row by the model, plus the model's error.
         turns = features @ rate
@@ -469,7 +471,7 @@ class Chains:
         both = torch.cat([torch.cat([ahead, aside]), torch.cat([-late_aside, late_ahead])], 1)
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
-        speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift.repeat(2), twice)
+        speeds, shifts_left = _regression(both, moved.T.flatten(), of_shift, twice)
         return torch.stack([*speeds.view(2, width), rate], dim=1), [turns_left, shifts_left]
 
 
@@ -481,7 +483,7 @@ def _regression(
     Args:
         features: [W, F]: of speeds, products and losses.
         target: [W].
-        near_zero: whether the prior holds a weight near zero, [F].
+        near_zero: how near zero the prior holds a weight, [F], see :func:`terms_near_zero`.
         windows: their kinds and weights.
     """
     kind = windows.kind.unique(return_inverse=True)[1]
