@@ -59,6 +59,10 @@ def _task(chosen: Chosen) -> Any:
         return None  # a task without defaults
 
 
+#: Options of --robust whose names are not those of its settings.
+ROBUST = {"generations": "robust-generations"}
+
+
 def _default_controller(chosen: Chosen) -> str:
     task = _task(chosen)
     return "plan" if task is None else task.usual_controller
@@ -171,7 +175,7 @@ def changed(
     "robust_settings",
     "neurosim.loop.settings:RobustSettings",
     only=("generations", "draws"),
-    names={"generations": "robust-generations"},
+    names=ROBUST,
 )
 @settings_options(
     "changes",
@@ -236,6 +240,7 @@ def evolve(
     1996). Any controller, task, simulator and optimiser can be combined.
     """
     from neurosim.evolution.genetic import GeneticSettings
+    from neurosim.evolution.optimisers import OPTIMISERS
     from neurosim.loop.evolve import evolve as evolve_
     from neurosim.loop.settings import RobustSettings, default_settings
     from neurosim.simulators import read_simulator
@@ -243,6 +248,14 @@ def evolve(
 
     if not real_generations and (is_given("reality") or reality_options):
         raise UserError("--reality needs --robot-generations: add it, or leave out --reality")
+    if robust_settings and not robust:
+        given = ", ".join(f"--{ROBUST.get(name, name)}" for name in robust_settings)
+        raise UserError(f"no effect without --robust: {given}; add --robust, or leave them out")
+    used = getattr(OPTIMISERS.get(optimiser), "uses", genetic)
+    if unused := ", ".join(f"--{name.replace('_', '-')}" for name in genetic if name not in used):
+        raise UserError(
+            f"no effect with --optimiser {optimiser}: {unused}; leave them out, or name ga"
+        )
     prepared = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":
         prepared.perimeter = None

@@ -7,7 +7,7 @@ Evolutionary Computation 9, 2001.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,13 @@ from neurosim.evolution.space import SearchSpace
 
 
 class CMA:
-    """CMA-ES, one search for each run."""
+    """CMA-ES, one search for each run.
+
+    Attributes:
+        uses: settings of the genetic algorithm that count here, too: none.
+    """
+
+    uses: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, space: SearchSpace):
         """Begin at the space's start, within its bounds.

@@ -18,7 +18,8 @@ from neurosim.evolution.command_sets import PlanPopulation, PlanSettings
 from neurosim.evolution.genetic import GeneticAlgorithm, GeneticSettings
 from neurosim.evolution.space import Optimiser, SearchSpace
 
-#: Functions by name that take a :class:`SearchSpace` and return an :class:`Optimiser`.
+#: Functions by name that take a :class:`SearchSpace` and return an :class:`Optimiser`. One that
+#: does not use all settings of the genetic algorithm names those it does: its attribute ``uses``.
 OPTIMISERS = Registry(
     "optimiser",
     "neurosim.optimisers",

@@ -61,6 +61,21 @@ def test_a_name_that_is_misspelt_is_answered_with_all_names(refused):
     assert " khepera, " in message
 
 
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--draws", "9"], "no effect without --robust: --draws"),
+        (["--robust-generations", "9"], "no effect without --robust: --robust-generations"),
+        (
+            ["--optimiser", "cma", "--eta", "3", "--population", "9"],
+            "no effect with --optimiser cma: --population, --eta",
+        ),
+    ],
+)
+def test_options_of_evolve_without_effect_are_refused(refused, words, says):
+    assert says in refused("evolve", "simulator", "-o", "p", *words)
+
+
 def test_a_missing_controller_is_named_before_a_missing_calibration(refused):
     assert "nothing: no such controller" in refused("run", "nothing", "-o", "trial")
 
@@ -570,10 +585,11 @@ def test_an_interruption_names_resume_where_something_was_saved(
     monkeypatch.chdir(tmp_path)
     (tmp_path / begun).mkdir(exist_ok=True)
     monkeypatch.setattr(cli, "main", interrupted)
-    monkeypatch.setattr(sys, "argv", ["neurosim", "evolve", "simulator", "-o", "new"])
-    with pytest.raises(SystemExit):
-        main()
-    assert ("--resume" in capsys.readouterr().err) == bool(begun)
+    for out in (["-o", "new"], ["-onew"], ["--out=new"]):
+        monkeypatch.setattr(sys, "argv", ["neurosim", "evolve", "simulator", *out])
+        with pytest.raises(SystemExit):
+            main()
+        assert ("--resume" in capsys.readouterr().err) == bool(begun)
 
 
 def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
