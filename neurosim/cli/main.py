@@ -206,7 +206,7 @@ _BEGUN = ("", ".checkpoint")
 def _again(command: click.Command | None) -> str:
     """Return how a command continues after an interruption; empty if it does not."""
     given = [value for name, value in itertools.pairwise(sys.argv) if name in ("-o", "--out")]
-    given += [found[1] for word in sys.argv if (found := re.fullmatch(r"(?:-o|--out=)(.+)", word))]
+    given += [match[1] for word in sys.argv if (match := re.fullmatch(r"(?:-o|--out=)(.+)", word))]
     if command is None or (given and not any(Path(given[-1] + end).exists() for end in _BEGUN)):
         return ""
     if any(option.name == "resume" for option in command.params):
