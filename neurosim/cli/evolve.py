@@ -250,11 +250,13 @@ def evolve(
         raise UserError("--reality needs --robot-generations: add it, or leave out --reality")
     if robust_settings and not robust:
         given = ", ".join(f"--{ROBUST.get(name, name)}" for name in robust_settings)
-        raise UserError(f"no effect without --robust: {given}; add --robust, or leave them out")
+        raise UserError(
+            f"these options have no effect without --robust: {given}; leave them out, or add --robust"
+        )
     used = getattr(OPTIMISERS.get(optimiser), "uses", genetic)
     if unused := ", ".join(f"--{name.replace('_', '-')}" for name in genetic if name not in used):
         raise UserError(
-            f"no effect with --optimiser {optimiser}: {unused}; leave them out, or name ga"
+            f"these options have no effect with --optimiser {optimiser}: {unused}; leave them out"
         )
     prepared = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":

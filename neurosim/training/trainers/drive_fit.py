@@ -1036,13 +1036,14 @@ def terms_near_zero(rows: Rows, width: int) -> tuple[Tensor, Tensor]:
     held = (torch.arange(width) >= count).double()
     turn, ahead, aside = held.clone(), held.clone(), held.clone()
     if rows.steered:
-        alone = torch.tensor([float(i == j) for i, j in pairs], dtype=held.dtype)
-        turn = torch.cat([torch.ones(count), alone, torch.ones(width)])[:width].double()
+        turn[:] = 1.0
+        turn[count : count + len(pairs)] = torch.tensor([float(i == j) for i, j in pairs])
     if rows.symmetric:
         # Nothing is known of the sides of modes after the second.
-        sign = torch.tensor([1.0, -1.0, *[0.0] * (count - 2)])
-        signs = torch.cat([0.0 * sign, torch.stack([sign[i] * sign[j] for i, j in pairs]), sign])
-        signs = signs[:width]
+        sign = [1.0, -1.0, *[0.0] * (count - 2)]
+        signs = torch.tensor([*[0.0] * count, *(sign[i] * sign[j] for i, j in pairs), *sign])[
+            :width
+        ]
         ahead[signs < 0.0] = turn[signs > 0.0] = aside[signs > 0.0] = _SYMMETRIC**2
     return turn, torch.cat([ahead, aside])
 
