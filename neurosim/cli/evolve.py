@@ -251,12 +251,12 @@ def evolve(
     if robust_settings and not robust:
         given = ", ".join(f"--{ROBUST.get(name, name)}" for name in robust_settings)
         raise UserError(
-            f"these options have no effect without --robust: {given}; leave them out, or add --robust"
+            f"options have no effect without --robust: {given}; leave them out, or add --robust"
         )
     used = getattr(OPTIMISERS.get(optimiser), "uses", genetic)
     if unused := ", ".join(f"--{name.replace('_', '-')}" for name in genetic if name not in used):
         raise UserError(
-            f"these options have no effect with --optimiser {optimiser}: {unused}; leave them out"
+            f"options have no effect with --optimiser {optimiser}: {unused}; leave them out"
         )
     prepared = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":
