@@ -13,6 +13,7 @@ from neurosim.training.error_size import row_weights
 from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
 from neurosim.training.trainers.drive_fit import Motion, fit_again, fit_drive
 from neurosim.training.trainers.gaussian_process import Process, learn_process
+from neurosim.training.trainers.windows import Windows
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 INPUTS = [{"name": name, "unit": "%"} for name in NAMES]
@@ -177,20 +178,29 @@ def test_where_no_row_was_members_differ_most():
 
 
 @pytest.mark.slow
-def test_the_process_is_the_textbook_s_where_all_rows_are_centres():
+@pytest.mark.parametrize("window", [1, 4])
+def test_the_process_is_the_textbook_s_where_all_rows_are_centres(window):
+    """Of rows, and of sums over windows of four, three of whose rows are the next one's, too."""
     g = torch.Generator().manual_seed(0)
     x = torch.rand(40, 2, generator=g, dtype=torch.float64)
     y = (3 * x[:, 0]).sin() + 0.1 * torch.randn(40, generator=g, dtype=torch.float64)
     lengths, one = torch.tensor([0.3, 0.5], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     process = Process(x, lengths, 0.8 * one, 0.01 * one)
-    units, weight = process.units(x), torch.linspace(0.5, 2.0, 40, dtype=torch.float64)
     factor = torch.linspace(0.5, 1.5, 40, dtype=torch.float64)
-    mean, triangle = process.posterior(units, factor, factor * y, weight, 0)
+    first = torch.arange(41 - window)
+    windows = Windows(first, first + window, 0 * first, torch.ones(len(first)))
+    given, units = factor * y, process.units(x)
+    columns, seen = windows.sums(factor[:, None] * units), windows.sums(given)
+    weight = torch.linspace(0.5, 2.0, len(first), dtype=torch.float64) / window**2
+    mean, triangle = process.posterior(columns, seen, weight, 0)
     fresh = torch.rand(7, 2, generator=g, dtype=torch.float64)
-    # Rasmussen and Williams 2006, equations 2.25 and 2.26, of rows y with noise 0.01 / (w f^2).
-    shared = 0.8 * covariance(x, x, lengths) + torch.diag(0.01 / (weight * factor.square()))
-    cross = 0.8 * covariance(fresh, x, lengths)
-    expected = cross @ torch.linalg.solve(shared, y)
+    # Rasmussen and Williams 2006, equations 2.25 and 2.26, of linear functions of the values.
+    of_rows = torch.zeros(len(first), 40, dtype=torch.float64)
+    for number, begin in enumerate(first.tolist()):
+        of_rows[number, begin : begin + window] = factor[begin : begin + window]
+    shared = of_rows @ (0.8 * covariance(x, x, lengths)) @ of_rows.T + torch.diag(0.01 / weight)
+    cross = 0.8 * covariance(fresh, x, lengths) @ of_rows.T
+    expected = cross @ torch.linalg.solve(shared, of_rows @ y)
     variance = 0.8 - (cross * torch.linalg.solve(shared, cross.T).T).sum(1)
     torch.testing.assert_close(process.units(fresh) @ mean, expected, rtol=1e-2, atol=2e-3)
     part = torch.linalg.solve_triangular(triangle, process.units(fresh).T, upper=False)

@@ -76,6 +76,9 @@ SCARCE = 50
 #: Parts of a log, each predicted by drive models of the others, the largest number of rows of a
 #: block in one, and samples of the noise, for the spread of windows.
 PARTS, BLOCK, SPREAD_DRAWS = 4, 300, 50
+#: Largest number of windows of a log that the process learns from. And the least kinds of windows
+#: that are tried for its lengths: there are more short ones, but longer ones show more.
+MOST_WINDOWS, OF_LENGTHS = 12_000, (0, 1)
 #: Number of blocks of a log at which its members differ twice as much as those of a long one: less
 #: than a minute of driving does not show all that a robot can do.
 FEW_BLOCKS = 20.0
@@ -99,6 +102,8 @@ _SETTLED = 0.05
 _WORTH = 0.03
 #: Smallest reduction of the loss, as a fraction, for which the process counts.
 _SIMPLER = 0.01
+#: The same for windows of a log, in standard errors of the reduction (Breiman et al. 1984 take 1).
+_SURE = 0.25
 #: Number of times that the floor is learned; the second time for a robot that was learned on an
 #: even one.
 _PASSES = 2
@@ -270,11 +275,17 @@ class CombinedTrainer:
             band = torch.zeros(len(driven), dtype=x.dtype)
         within = None if settings.whole_commands else data.within
         self._windows: Windows | None = None
+        #: Windows that the process learns from, if rows are shorter: an error of a pose is one of
+        #: both rows that it lies between, and cancels in a window.
+        self._short: Windows | None = None
         self._motion: Motion | Chains
         if data.joined is None:
             self._motion = Motion(x, y, data.follows, self._columns, self._longest, within)
         else:
-            self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
+            time = data.x[:, self._columns.duration]
+            self._windows = windows_of(time, data.joined)
+            if float(time.median()) < LENGTHS[1]:
+                self._short = self._windows.some(MOST_WINDOWS)
             self._motion = Chains.of(x, y, data.joined, self._columns, self._longest, within)
         self._band = band
         return self._leave(fit_drive(self._motion, band, settings.without))
@@ -390,13 +401,14 @@ class CombinedTrainer:
             self._motion = _moved(self._motion, self._data)
             rows = _moved(self._fit.rows, self._data)
             self._leave(fit_again(self._fit._replace(rows=rows), once)[0])
-            given = self._derived.append(self._columns, self._rows.given)
-            self._rows = self._rows._replace(given=given)
-            self._trust = self._trust_of_rows()
+            self._use(self._derived)
+            self._trust = self._trusted()
             self._best = self._judged(self._best.process)
         #: Weights of the units, learned from all rows, [3, K].
-        self._mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
         rows, best = self._rows, self._best
+        once = torch.ones_like(rows.weight)
+        posteriors = (self._posterior(best.process, best.units, o, once) for o in range(OUTPUTS))
+        self._mean = torch.stack([mean for mean, _ in posteriors])
         outputs = best.fractions[:, None] * (self._mean @ best.units.T)
         return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
 
@@ -419,31 +431,65 @@ class CombinedTrainer:
 
     def _fit_process(self) -> None:
         """Choose the process' inputs, lengths and centres."""
-        rows, settings = self._rows, self._settings
-        self._trust = trust = self._trust_of_rows()
+        self._trust = self._trusted()
         generator = torch.Generator().manual_seed(self._seed)
-        known = rows.factor.abs() >= _LEAST
-        value = torch.where(known, rows.left / torch.where(known, rows.factor, 1.0), 0.0)
-        weight = torch.where(known, rows.factor.square() * trust, 0.0)
-        commands = int(self._command.amax()) + 1
-        chosen = torch.randperm(commands, generator=generator)[:_ROWS]
-        elsewhere, plain = self._elsewhere(generator), rows.given
-        swings = (None, *SWINGS) if self._swings else (None,)
-        least, process = math.inf, None
-        for derived in map(Derived, swings):
-            given, other = (derived.append(self._columns, one) for one in (plain, elsewhere))
-            one, loss = learn_process(given, value, weight, settings.centres, other, chosen)
-            if loss < least - (_BELIEVED if process is not None else 0.0):
-                least, process = loss, one
-                self._derived, self._rows = derived, rows._replace(given=given)
-        assert process is not None
-        rows, elsewhere = self._rows, self._derived.append(self._columns, elsewhere)
-        best, count = self._judged(process), settings.centres
-        most = min(settings.most_centres, commands // ROWS_PER_CENTRE)
+        count = int(self._command.amax()) + 1
+        separate = [torch.arange(count)]
+        if self._short is not None:
+            separate = [self._short.separate(kind) for kind in OF_LENGTHS]
+            count = len(separate[0])
+        elsewhere, tried = self._elsewhere(generator), []
+        for own in separate:
+            if not tried or len(own) > 1:
+                chosen = own[torch.randperm(len(own), generator=generator)[:_ROWS]]
+                process, derived = self._with_lengths(chosen, elsewhere)
+                self._use(derived)
+                tried.append((self._judged(process), derived))
+        self._best, derived = min(tried, key=lambda one: one[0].loss)
+        self._use(derived)
+        elsewhere = derived.append(self._columns, elsewhere)
+        self._widen(elsewhere, min(self._settings.most_centres, count // ROWS_PER_CENTRE))
+
+    def _use(self, derived: Derived) -> None:
+        """Give the process derived inputs."""
+        self._derived = derived
+        self._rows = self._rows._replace(given=derived.append(self._columns, self._plain))
+
+    @property
+    def _plain(self) -> Tensor:
+        """The inputs of the process without derived ones, [N, I]."""
+        return self._rows.x[:, : len(self._data.inputs)]
+
+    def _with_lengths(self, chosen: Tensor, elsewhere: Tensor) -> tuple[Process, Derived]:
+        """Return a process whose lengths are learned from these rows or windows, and its input."""
+        rows = self._rows
+        left, factor = self._observed(rows.left), self._observed(rows.factor)
+        known = factor.abs() >= _LEAST
+        value = torch.where(known, left / torch.where(known, factor, 1.0), 0.0)
+        weight = torch.where(known, factor.square() * self._trust, 0.0)
+        if self._short is not None:
+            weight /= self._counted(self._short).unsqueeze(1)
+        least, result = math.inf, None
+        for swing in (None, *SWINGS) if self._swings else (None,):
+            derived = Derived(swing)
+            given, other = (derived.append(self._columns, one) for one in (self._plain, elsewhere))
+            seen = self._observed_inputs(given)
+            process, loss = learn_process(
+                seen, value, weight, self._settings.centres, other, chosen
+            )
+            if loss < least - (_BELIEVED if result is not None else 0.0):
+                least, result = loss, (process, derived)
+        assert result is not None
+        return result
+
+    def _widen(self, elsewhere: Tensor, most: int) -> None:
+        """Double the number of centres while this lessens the loss on unseen rows."""
+        count, seen = self._settings.centres, self._observed_inputs(self._rows.given)
+        best = self._best
         while best.fractions.any() and count <= len(best.process.centres) and 2 * count <= most:
             count *= 2
-            centres = choose_centres(rows.given, elsewhere, process.lengths, count)
-            wider = self._judged(replace(process, centres=centres))
+            centres = choose_centres(seen, elsewhere, best.process.lengths, count)
+            wider = self._judged(replace(best.process, centres=centres))
             if wider.loss > best.loss - _WORTH:
                 break
             best = wider
@@ -459,9 +505,37 @@ class CombinedTrainer:
         """Whether the process may have an input for the change of direction."""
         return can_swing(self._columns) and "swing" not in self._settings.without
 
-    def _trust_of_rows(self) -> Tensor:
-        """Return the weight of each row for each output, [N, 3]."""
-        rows = self._rows
+    def _observed(self, values: Tensor) -> Tensor:
+        """Return values of rows and parts [N, ...], or their sums over windows of rows, [O, ...].
+
+        The process learns from these.
+        """
+        return values if self._short is None else self._short.sums(values[: len(self._data.x)])
+
+    def _observed_inputs(self, given: Tensor) -> Tensor:
+        """Return the inputs [N, J] of the process, or their means in windows, [O, J]."""
+        if self._short is None:
+            return given
+        time = self._rows.x[:, self._columns.duration, None]
+        return self._observed(time * given) / self._observed(time)
+
+    def _counted(self, windows: Windows) -> Tensor:
+        """Return the weights of windows, [W]: in all as many as fit the log of the shortest."""
+        time = self._data.x[:, self._columns.duration].sum()
+        return windows.weight * (time / LENGTHS[0] / windows.weight.sum())
+
+    def _trusted(self) -> Tensor:
+        """Return the weight of each row or window for each output, [O, 3]."""
+        rows, windows = self._rows, self._short
+        if windows is not None:
+            left, relative = self._observed(rows.left), []
+            sizes = [windows.kind == kind for kind in windows.kind.unique()]
+            trust = self._counted(windows).unsqueeze(1).repeat(1, OUTPUTS)
+            for own in sizes:
+                square = (1.5 * left[own].abs().median(0).values).square().clamp(min=1e-18)
+                relative.append(square)
+                trust[own] *= relative[0] / (square + left[own].square() / 9.0)
+            return trust
         plain = rows.weight.unsqueeze(1).repeat(1, OUTPUTS)
         if "row_weights" in self._settings.without or not rows.left.any():
             return plain
@@ -479,36 +553,52 @@ class CombinedTrainer:
         return low + (high - low) * uniform
 
     def _judged(self, process: Process) -> _Judged:
-        """Return a process with its predictions for each half of the rows from the other half."""
-        rows, units = self._rows, process.units(self._rows.given)
-        outputs = torch.zeros(2, OUTPUTS, len(units), dtype=torch.float64)
-        for number, seen in enumerate((self._half, ~self._half)):
+        """Return a process with its predictions for each part of the rows from the other parts."""
+        units, part = process.units(self._rows.given), self._part
+        unseen = torch.zeros(OUTPUTS, len(units), dtype=torch.float64)
+        for number in part.unique():
+            others = (part != number).to(units)
             for o in range(OUTPUTS):
-                trust = self._trust[:, o] * seen
-                weights, _ = process.posterior(units, rows.factor[:, o], rows.left[:, o], trust, o)
-                outputs[number, o] = units @ weights
-        unseen = torch.where(self._half, outputs[1], outputs[0])
+                weights, _ = self._posterior(process, units, o, others)
+                unseen[o, part == number] = units[part == number] @ weights
         return _Judged(process, units, unseen, *self._stacked(unseen))
 
-    def _read_out(self, output: int, weight: Tensor | float = 1.0, off: Tensor | float = 0.0):
-        """Return the mean [K] and the precision's Cholesky factor [K, K] of an output's weights.
+    def _posterior(
+        self,
+        process: Process,
+        units: Tensor,
+        output: int,
+        weight: Tensor,
+        off: Tensor | float = 0.0,
+    ) -> tuple[Tensor, Tensor]:
+        """Return :meth:`Process.posterior` of an output, learned from rows or windows.
 
         Args:
+            process: the process.
+            units: of the rows, [N, K].
             output: its number.
-            weight: factor of each row's weight, [N].
+            weight: factor of each row's weight, [N]; 0: windows with this row do not count.
             off: known part of the output at each row, [N].
         """
-        rows, best = self._rows, self._best
-        factor, left = rows.factor[:, output], rows.left[:, output]
-        trust = self._trust[:, output] * weight
-        return best.process.posterior(best.units, factor, left - factor * off, trust, output)
+        factor = self._rows.factor[:, output]
+        left = self._observed(self._rows.left[:, output] - factor * off)
+        counts = self._observed(weight)
+        if self._short is not None:
+            counts = counts / (self._short.end - self._short.first)
+            counts = torch.where(self._observed((weight == 0.0).to(weight)) > 0.0, 0.0, counts)
+        columns = self._observed(factor.unsqueeze(1) * units)
+        return process.posterior(columns, left, self._trust[:, output] * counts, output)
 
     @property
-    def _half(self) -> Tensor:
-        """Whether rows are in the first half, [N]: stretches of time, parts with their commands."""
+    def _part(self) -> Tensor:
+        """The number of the part of the rows that each is in, [N]; parts have their command's.
+
+        Halves of alternate stretches of time; of a log the earlier and the later half, or quarters.
+        """
         whole = len(self._data.x)
-        stretches = STRETCHES if self._windows is None else 2
-        return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
+        count = STRETCHES if self._windows is None else 2 if self._short is None else PARTS
+        stretch = torch.arange(whole) * count // whole
+        return (stretch % 2 if self._windows is None else stretch)[self._command]
 
     def _of_others(
         self, outputs: Tensor, part: Tensor, instants: _Instants | None = None
@@ -590,13 +680,12 @@ class CombinedTrainer:
         Also return the mean logarithm of the outputs' losses on held-out rows.
         """
         rows, count = self._rows, None
-        judged = [
-            (unseen[o], rows.left[:, o], rows.factor[:, o], self._trust[:, o])
-            for o in range(OUTPUTS)
-        ]
+        judged = [(unseen[o], rows.left[:, o], rows.factor[:, o]) for o in range(OUTPUTS)]
         if self._windows is not None:
-            judged = [self._composed(*one[:3], self._windows) for one in judged]
-            count = float(self._windows.weight.sum())
+            windows, count = self._windows, float(self._windows.weight.sum())
+            judged = [self._composed(*one, windows) for one in judged]
+        else:
+            judged = [(*one, self._trust[:, o]) for o, one in enumerate(judged)]
         allowed = "process" not in self._settings.without
         fitted = [_fraction(*one, allowed, count) for one in judged]
         losses = torch.tensor([max(loss, 1e-30) for _, loss in fitted])
@@ -610,9 +699,7 @@ class CombinedTrainer:
 
         A row adds the same to the turn of a window, and nearly to its path, as to its own.
         """
-        both = torch.stack([factor * outputs, left])[:, : len(self._data.x)]
-        until = torch.cat([torch.zeros_like(both[:, :1]), both.cumsum(1)], 1)
-        both = until[:, windows.end] - until[:, windows.first]
+        both = windows.sums(torch.stack([factor * outputs, left])[:, : len(self._data.x)], 1)
         trust = windows.weight.clone()
         for kind in range(len(LENGTHS)):
             own = windows.kind == kind
@@ -641,7 +728,7 @@ class CombinedTrainer:
             off = self._units_of(rows.given, best.units) @ change.T
             weight = random[m][self._command]
             for o in range(OUTPUTS):
-                centre, triangle = self._read_out(o, weight, off[:, o])
+                centre, triangle = self._posterior(best.process, best.units, o, weight, off[:, o])
                 draw = priors[o] @ torch.randn(units, 1, generator=generator, dtype=mean.dtype)
                 own[o] = centre + torch.cholesky_solve(draw, triangle).squeeze(1)
             linear[1 + m], part = change[:, : inputs + 1], change[:, inputs + 1 :]
@@ -705,7 +792,7 @@ class CombinedTrainer:
         few = whole <= FEW
         some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
         if few:
-            mean = self._of_others(unseen, (~self._half[:whole]).long())[some]
+            mean = self._of_others(unseen, self._part[:whole])[some]
         else:
             mean = simulator.from_outputs(unseen[some], rows.x[some])
         weight = torch.ones_like(rows.weight)
@@ -735,8 +822,7 @@ class CombinedTrainer:
         """
         rows, whole = self._rows, len(self._data.x)
         windows = runs_of(whole) if self._windows is None else self._windows
-        stride = -(-len(windows.first) // self._settings.noise_rows)
-        windows = Windows(*(part[::stride] for part in windows))
+        windows = windows.some(self._settings.noise_rows)
         row, block = torch.arange(whole), min(-(-whole // PARTS), BLOCK)
         known = self._instants()
         mean = self._of_others(unseen[:whole], row // block % PARTS, known)
@@ -746,25 +832,20 @@ class CombinedTrainer:
             self._excess = fit_excess(known.time, *paths, known.drive)
             mean = mean[known.ends]
 
-        def summed(values: Tensor) -> Tensor:
-            """Return sums of values [..., N, 3] over windows, [..., W, 3]."""
-            until = torch.cat([torch.zeros_like(values[..., :1, :]), values.cumsum(-2)], -2)
-            return until[..., windows.end, :] - until[..., windows.first, :]
-
         generator, own = torch.Generator().manual_seed(self._seed), []
         for _ in range(SPREAD_DRAWS):
             z = noise.draw(whole, 1, generator).squeeze(1)
             drawn = disturb(noise, self._columns, rows.x[:whole], mean, z)
-            own.append(summed(residual(mean, drawn)))
+            own.append(windows.sums(residual(mean, drawn)))
         inputs = self._units_of(rows.given[:whole], self._best.units[:whole])
         differs = torch.einsum("nk,mok->mno", inputs, (weights - weights[:1])[1:])
         differs = (differs * rows.factor[:whole]).roll(1, -1)  # the turn first
-        error = summed(residual(mean, self._moved_evenly()[:whole]))
-        sums = torch.stack(own), summed(differs)
+        error = windows.sums(residual(mean, self._moved_evenly()[:whole]))
+        sums = torch.stack(own), windows.sums(differs, 1)
         usual = USUAL_SPREAD
         if self._windows is not None:
             usual *= 1.0 + FEW_BLOCKS / (int(self._blocks[-1]) + 1)
-        of_noise, of_members = fit_spread(error, *sums, stride * windows.weight, usual)
+        of_noise, of_members = fit_spread(error, *sums, windows.weight, usual)
         return of_noise, of_members.roll(-1).unsqueeze(1)
 
     @property
@@ -892,7 +973,7 @@ class _Judged(NamedTuple):
     Attributes:
         process: the process.
         units: of the rows, [N, K].
-        unseen: predictions for each row from the other half of the rows, [3, N].
+        unseen: predictions for each row from the other parts of the rows, [3, N].
         fractions: weight of the process for each output, [3].
         loss: the mean logarithm of the outputs' losses.
     """
@@ -939,7 +1020,7 @@ def _fraction(
         trust: weights of the rows, [N].
         allowed: whether it may count.
         count: equivalent number of independent rows; if given, the process counts only if it
-            reduces the loss by more than its standard error (Breiman et al. 1984).
+            reduces the loss by more than :data:`_SURE` standard errors.
     """
     best, least = 0.0, math.inf
     root = trust.sqrt()
@@ -955,7 +1036,7 @@ def _fraction(
         if count is not None and step == 0:
             without = loss
         elif count is not None:
-            value += (without - loss).std().item() / math.sqrt(count)
+            value += _SURE * (without - loss).std().item() / math.sqrt(count)
         if value < least:
             best, least = fraction, value
     return best, least

@@ -65,19 +65,17 @@ class Process:
         return torch.linalg.cholesky(precision)
 
     def posterior(
-        self, units: Tensor, factor: Tensor, y: Tensor, trust: Tensor, function: int
+        self, columns: Tensor, y: Tensor, trust: Tensor, function: int
     ) -> tuple[Tensor, Tensor]:
         """Return mean [K] and Cholesky factor [K, K] of the precision of a function's weights.
 
         Args:
-            units: of rows, [N, K].
-            factor: factor of the function in ``y``, [N].
-            y: factor times function, plus noise, [N].
-            trust: weights of the rows, reciprocals of their relative noise variances, [N].
+            columns: factors of the units' weights in ``y``, [N, K].
+            y: the observed values, [N], such as the function's times a known factor, with noise.
+            trust: weights of the values, reciprocals of their relative noise variances, [N].
             function: number of the function.
         """
         trust = trust / self.noise[function]
-        columns = units * factor.unsqueeze(1)
         precision = self._precision(function) + columns.T @ (trust.unsqueeze(1) * columns)
         precision.diagonal().add_(_JITTER * precision.diagonal().mean())
         triangle = torch.linalg.cholesky(precision)

@@ -65,6 +65,28 @@ class Windows(NamedTuple):
     kind: Tensor
     weight: Tensor
 
+    def sums(self, values: Tensor, axis: int = 0) -> Tensor:
+        """Return sums of values over windows, [..., W, ...], of those of rows, [..., N, ...]."""
+        nothing = torch.zeros_like(values.narrow(axis, 0, 1))
+        until = torch.cat([nothing, values.cumsum(axis)], axis)
+        return until.index_select(axis, self.end) - until.index_select(axis, self.first)
+
+    def some(self, most: int) -> Windows:
+        """Return every n-th window, so that there are no more than this, n times as heavy."""
+        every = -(-len(self.first) // most)
+        some = Windows(*(part[::every] for part in self))
+        return some._replace(weight=every * some.weight)
+
+    def separate(self, kind: int = 0) -> Tensor:
+        """Return indices of windows of a kind or longer ones that share no rows: most of them."""
+        chosen, last = [], 0
+        first, end, kinds = (part.numpy() for part in self[:3])
+        for place in np.argsort(end, kind="stable"):
+            if kinds[place] >= kind and first[place] >= last:
+                chosen.append(place)
+                last = end[place]
+        return torch.tensor(chosen)
+
 
 def windows_of(time: Tensor, joined: Tensor) -> Windows:
     """Return the windows of rows.
