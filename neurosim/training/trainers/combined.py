@@ -92,6 +92,8 @@ SWINGS = (-0.03, 0.03)
 _BELIEVED = 5.0
 #: Number of commands for the process' lengths.
 _ROWS = 400
+#: Number of standard deviations at which an error of a window counts half.
+_FAR = 3.0
 #: Number of random commands, some of which become centres.
 _RANDOM = 1000
 #: Shortest part of a command that is learned from, s.
@@ -525,25 +527,27 @@ class CombinedTrainer:
         return windows.weight * (time / LENGTHS[0] / windows.weight.sum())
 
     def _trusted(self) -> Tensor:
-        """Return the weight of each row or window for each output, [O, 3]."""
+        """Return the weight of each row or window for each output, [O, 3].
+
+        Of windows it is relative to those of the shortest kind.
+        """
         rows, windows = self._rows, self._short
-        if windows is not None:
-            left, relative = self._observed(rows.left), []
-            sizes = [windows.kind == kind for kind in windows.kind.unique()]
-            trust = self._counted(windows).unsqueeze(1).repeat(1, OUTPUTS)
-            for own in sizes:
-                square = (1.5 * left[own].abs().median(0).values).square().clamp(min=1e-18)
-                relative.append(square)
-                trust[own] *= relative[0] / (square + left[own].square() / 9.0)
-            return trust
-        plain = rows.weight.unsqueeze(1).repeat(1, OUTPUTS)
-        if "row_weights" in self._settings.without or not rows.left.any():
-            return plain
-        return plain * row_weights(rows.given, rows.left.T).T.square()
+        equal = "row_weights" in self._settings.without or not rows.left.any()
+        counts = rows.weight if windows is None else self._counted(windows)
+        trust = counts.unsqueeze(1).repeat(1, OUTPUTS)
+        if windows is None:
+            return trust if equal else trust * row_weights(rows.given, rows.left.T).T.square()
+        left, sizes = self._observed(rows.left).square(), []
+        for kind in windows.kind.unique():
+            own = windows.kind == kind
+            sizes.append(2.25 * left[own].median(0).values.clamp(min=1e-18))  # 1.5 medians
+            far = 0.0 if equal else left[own] / _FAR**2
+            trust[own] *= sizes[0] / (sizes[-1] + far)
+        return trust
 
     def _elsewhere(self, generator: torch.Generator) -> Tensor:
         """Return inputs of the process [M, J] of random commands after random speeds."""
-        x = self._rows.x[:, : len(self._data.inputs)]
+        x = self._plain
         low, high = x.amin(0), x.amax(0)
         # An input with one sign may have the other.
         for places in (self._columns.driven, self._columns.before):
