@@ -205,6 +205,40 @@ def test_a_slow_body_is_no_other_clock(imported):
     assert "clock" not in imported(time, poses, commands)[1]
 
 
+def test_a_body_that_answers_for_longer_than_clocks_are_compared_is_no_other_clock(imported):
+    """The later, the better its motion is explained, until 3 s: no delay is seen in that."""
+    rng = np.random.default_rng(5)
+    slow = np.repeat(rng.uniform((-0.3, -1.5), (0.3, 1.5), (40, 2)).round(2), 300, axis=0)
+    commands = slow.copy()
+    for _ in range(2):
+        for k in range(1, len(slow)):
+            slow[k] = slow[k - 1] + (slow[k] - slow[k - 1]) * (1 - np.exp(-DT / 5.0))
+    time, poses, _ = drive(len(slow) * DT, lag=5.0, commands=slow)
+    log = logs.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
+    assert clocks.lateness([log]).delay <= clocks.ROBOTS
+    assert "clock" not in imported(time, poses, commands)[1]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_a_pose_that_stands_beside_the_command_that_led_to_it(imported, noise):
+    """As where a simulator is logged after each step; with the pose before it, nothing is said."""
+    held = np.repeat(np.random.default_rng(2).uniform(-1, 1, (500, 2)), 3, axis=0)
+    time, poses, commands = drive(len(held) * DT, lag=1e-3, commands=held * (0.3, 1.5))
+    poses = np.unwrap(poses, axis=0) + np.random.default_rng(3).normal(0, noise, poses.shape)
+    before, warnings = imported(time, poses, commands)
+    assert warnings == ""
+    after = time[:-1], poses[1:], commands[:-1]
+    made, warnings = imported(*after)
+    assert "is the one after its command" in warnings
+    count = min(len(made), len(before)) - 2
+    assert made.input_array()[1:count] == pytest.approx(before.input_array()[1:count])
+    assert made.output_array()[1:count] == pytest.approx(before.output_array()[1:count], abs=1e-3)
+    left, warnings = imported(*after, settings=Settings(delay=0.0))
+    assert warnings == ""
+    apart = np.abs(left.output_array()[1:count] - before.output_array()[1:count])
+    assert np.median(apart[:, 2]) > 0.02
+
+
 @pytest.mark.parametrize("late", [0.0, 1.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_clock_of_short_drives_of_four_wheels(seed, late):

@@ -30,6 +30,9 @@ _LAGS = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
 #: Largest remaining fraction of the motion's variance, and of the remainder at a robot's best
 #: possible delay.
 _LEFT, _BETTER = 0.5, 0.8
+#: Shortest step of a log, s, at which it matters whether a line's pose is the one before or after
+#: its command; and the remainder of one after it, as a fraction of that of one before, that tells.
+_FINEST, _CLEARLY = 0.02, 0.5
 
 
 class Lateness(NamedTuple):
@@ -48,15 +51,21 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
             robot's, or if the poses are early.
     """
     if delay is None:
-        late = lateness(logs)
+        late, warnings = lateness(logs), []
         if late is None or -_EARLY <= late.delay <= ROBOTS:
-            return list(logs), []
-        delay = late.delay
-        much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
-        warnings = [
-            f"poses follow {much} their commands, as no robot does: their clocks differ; "
-            f"corrected; --delay {delay:.2f} says so, --delay 0 leaves them"
-        ]
+            delay = -_step_early(logs)
+            if delay < 0.0:
+                warnings = [
+                    "the pose of a line is the one after its command, as where a simulator is "
+                    "logged after each step; read so; --delay 0 takes it for the one before"
+                ]
+        else:
+            delay = late.delay
+            much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
+            warnings = [
+                f"poses follow {much} their commands, as no robot does: their clocks differ; "
+                f"corrected; --delay {delay:.2f} says so, --delay 0 leaves them"
+            ]
     else:
         warnings = []
     if delay == 0.0:
@@ -66,7 +75,51 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
 
 def lateness(logs: Sequence[Log]) -> Lateness | None:
     """Return the delay of the poses of logs of one clock; None if commands explain too little."""
-    step = max(_STEP, 2.0 * float(np.median(np.concatenate([np.diff(log.time) for log in logs]))))
+    step = max(_STEP, 2.0 * _step_of(logs))
+    shifts = np.arange(round(_EARLIEST / step), round(_LATEST / step) + 1)
+    left = _unexplained_by(logs, step, shifts)
+    if left is None:
+        return None
+    best = int(left.argmin())
+    if left[best] > _LEFT:
+        return None
+    robots = np.flatnonzero((shifts * step >= -_EARLY) & (shifts * step <= ROBOTS))
+    limits = -np.inf, np.inf
+    # Where the last shift is the best one, a slow body answers for longer than that.
+    if best in (0, len(left) - 1) or left[best] > _BETTER * left[robots].min():
+        best, limits = int(robots[left[robots].argmin()]), (-_EARLY, ROBOTS)
+    delay = np.clip((shifts[best] + _between(left, best)) * step, *limits)
+    return Lateness(float(delay), float(left[best]))
+
+
+def _step_early(logs: Sequence[Log]) -> float:
+    """Return the step of logs (s) whose lines have the pose after their command; if not, 0.
+
+    A robot that answers later than within a step hides it, and is learned all the same.
+    """
+    step = _step_of(logs)
+    if step < _FINEST or not all(np.isin(log.pose_time, log.time).all() for log in logs):
+        return 0.0
+    left = _unexplained_by(logs, step, np.arange(-1, round(ROBOTS / step) + 1))
+    if left is None or left[0] > _LEFT or left[0] > _CLEARLY * left[1:].min():
+        return 0.0
+    return step
+
+
+def _step_of(logs: Sequence[Log]) -> float:
+    return float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
+
+
+def _unexplained_by(logs: Sequence[Log], step: float, shifts: NDArray) -> NDArray | None:
+    """Return the fraction of the motion that commands do not explain at each shift, (S,).
+
+    None: it cannot be said.
+
+    Args:
+        logs: drives of one robot and one clock.
+        step: of the grid, s.
+        shifts: of the motion, steps.
+    """
     parts, count = [], 0
     for log in sorted(logs, key=lambda log: -len(log.pose_time)):
         # With what is unknown before and after it, no shift joins two logs.
@@ -80,7 +133,6 @@ def lateness(logs: Sequence[Log]) -> Lateness | None:
         return None
     twist, known, commands, given = (np.concatenate(part) for part in zip(*parts, strict=True))
     half = np.arange(count) * step // _STRETCH % 2
-    shifts = np.arange(round(_EARLIEST / step), round(_LATEST / step) + 1)
     lefts = np.full((len(_LAGS), len(shifts), twist.shape[1]), np.inf)
     for number, lag in enumerate(_LAGS):
         features = _features(_lagged(commands, step, lag))
@@ -90,17 +142,7 @@ def lateness(logs: Sequence[Log]) -> Lateness | None:
     least = lefts.min(0)
     moves = (~np.isnan(least)).sum(1)
     left = np.where(moves > 0, np.nansum(least, axis=1) / np.maximum(moves, 1), np.inf)
-    if not np.isfinite(left).any():
-        return None
-    best = int(left.argmin())
-    if left[best] > _LEFT:
-        return None
-    robots = np.flatnonzero((shifts * step >= -_EARLY) & (shifts * step <= ROBOTS))
-    limits = -np.inf, np.inf
-    if left[best] > _BETTER * left[robots].min():
-        best, limits = int(robots[left[robots].argmin()]), (-_EARLY, ROBOTS)
-    delay = np.clip((shifts[best] + _between(left, best)) * step, *limits)
-    return Lateness(float(delay), float(left[best]))
+    return left if np.isfinite(left).any() else None
 
 
 def _sampled(log: Log, grid: NDArray, step: float) -> tuple[NDArray, ...]:
