@@ -221,7 +221,7 @@ def test_a_body_that_answers_for_longer_than_clocks_are_compared_is_no_other_clo
 
 @pytest.mark.parametrize("noise", [0.0, 0.001])
 def test_a_pose_that_stands_beside_the_command_that_led_to_it(imported, noise):
-    """As where a simulator is logged after each step; with the pose before it, nothing is said."""
+    """As where a simulator is logged after each step; the pose before it needs no warning."""
     held = np.repeat(np.random.default_rng(2).uniform(-1, 1, (500, 2)), 3, axis=0)
     time, poses, commands = drive(len(held) * DT, lag=1e-3, commands=held * (0.3, 1.5))
     poses = np.unwrap(poses, axis=0) + np.random.default_rng(3).normal(0, noise, poses.shape)

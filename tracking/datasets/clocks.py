@@ -113,7 +113,7 @@ def _step_of(logs: Sequence[Log]) -> float:
 def _unexplained_by(logs: Sequence[Log], step: float, shifts: NDArray) -> NDArray | None:
     """Return the fraction of the motion that commands do not explain at each shift, (S,).
 
-    None: it cannot be said.
+    None: there is too little motion.
 
     Args:
         logs: drives of one robot and one clock.
