@@ -50,27 +50,29 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
         delay: delay of the poses, s; None: it is estimated, and corrected if it is longer than any
             robot's, or if the poses are early.
     """
+    warning = ""
     if delay is None:
-        late, warnings = lateness(logs), []
-        if late is None or -_EARLY <= late.delay <= ROBOTS:
-            delay = -_step_early(logs)
-            if delay < 0.0:
-                warnings = [
-                    "the pose of a line is the one after its command, as where a simulator is "
-                    "logged after each step; read so; --delay 0 takes it for the one before"
-                ]
-        else:
-            delay = late.delay
-            much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
-            warnings = [
-                f"poses follow {much} their commands, as no robot does: their clocks differ; "
-                f"corrected; --delay {delay:.2f} says so, --delay 0 leaves them"
-            ]
-    else:
-        warnings = []
-    if delay == 0.0:
-        return list(logs), warnings
-    return [replace(log, pose_time=log.pose_time - delay) for log in logs], warnings
+        delay, warning = _estimated(logs)
+    if delay != 0.0:
+        logs = [replace(log, pose_time=log.pose_time - delay) for log in logs]
+    return list(logs), [warning] if warning else []
+
+
+def _estimated(logs: Sequence[Log]) -> tuple[float, str]:
+    """Return the delay of poses that is to be corrected, s, and why; 0 and nothing: none."""
+    late = lateness(logs)
+    if late is not None and not -_EARLY <= late.delay <= ROBOTS:
+        much = f"{abs(late.delay):.2f} s {'after' if late.delay > 0 else 'before'}"
+        return late.delay, (
+            f"poses follow {much} their commands, as no robot does: their clocks differ; "
+            f"corrected; --delay {late.delay:.2f} says so, --delay 0 leaves them"
+        )
+    if step := _step_early(logs):
+        return -step, (
+            "the pose of a line is the one after its command, as where a simulator is "
+            "logged after each step; read so; --delay 0 takes it for the one before"
+        )
+    return 0.0, ""
 
 
 def lateness(logs: Sequence[Log]) -> Lateness | None:
@@ -86,7 +88,7 @@ def lateness(logs: Sequence[Log]) -> Lateness | None:
     robots = np.flatnonzero((shifts * step >= -_EARLY) & (shifts * step <= ROBOTS))
     limits = -np.inf, np.inf
     # Where the last shift is the best one, a slow body answers for longer than that.
-    if best in (0, len(left) - 1) or left[best] > _BETTER * left[robots].min():
+    if best == len(left) - 1 or left[best] > _BETTER * left[robots].min():
         best, limits = int(robots[left[robots].argmin()]), (-_EARLY, ROBOTS)
     delay = np.clip((shifts[best] + _between(left, best)) * step, *limits)
     return Lateness(float(delay), float(left[best]))

@@ -409,7 +409,8 @@ class CombinedTrainer:
         #: Weights of the units, learned from all rows, [3, K].
         rows, best = self._rows, self._best
         once = torch.ones_like(rows.weight)
-        posteriors = (self._posterior(best.process, best.units, o, once) for o in range(OUTPUTS))
+        designs = (self._design(best.units, o) for o in range(OUTPUTS))
+        posteriors = (self._posterior(best.process, one, o, once) for o, one in enumerate(designs))
         self._mean = torch.stack([mean for mean, _ in posteriors])
         outputs = best.fractions[:, None] * (self._mean @ best.units.T)
         return (rows.left - rows.factor * outputs.T)[: len(self._data.x)].square().mean(0)
@@ -560,17 +561,22 @@ class CombinedTrainer:
         """Return a process with its predictions for each part of the rows from the other parts."""
         units, part = process.units(self._rows.given), self._part
         unseen = torch.zeros(OUTPUTS, len(units), dtype=torch.float64)
-        for number in part.unique():
-            others = (part != number).to(units)
-            for o in range(OUTPUTS):
-                weights, _ = self._posterior(process, units, o, others)
+        for o in range(OUTPUTS):
+            design = self._design(units, o)
+            for number in part.unique():
+                others = (part != number).to(units)
+                weights, _ = self._posterior(process, design, o, others)
                 unseen[o, part == number] = units[part == number] @ weights
         return _Judged(process, units, unseen, *self._stacked(unseen))
+
+    def _design(self, units: Tensor, output: int) -> Tensor:
+        """Return the factors [O, K] of the units' weights in an output, from units [N, K]."""
+        return self._observed(self._rows.factor[:, output, None] * units)
 
     def _posterior(
         self,
         process: Process,
-        units: Tensor,
+        design: Tensor,
         output: int,
         weight: Tensor,
         off: Tensor | float = 0.0,
@@ -579,7 +585,7 @@ class CombinedTrainer:
 
         Args:
             process: the process.
-            units: of the rows, [N, K].
+            design: of :meth:`_design`, [O, K].
             output: its number.
             weight: factor of each row's weight, [N]; 0: windows with this row do not count.
             off: known part of the output at each row, [N].
@@ -590,8 +596,7 @@ class CombinedTrainer:
         if self._short is not None:
             counts = counts / (self._short.end - self._short.first)
             counts = torch.where(self._observed((weight == 0.0).to(weight)) > 0.0, 0.0, counts)
-        columns = self._observed(factor.unsqueeze(1) * units)
-        return process.posterior(columns, left, self._trust[:, output] * counts, output)
+        return process.posterior(design, left, self._trust[:, output] * counts, output)
 
     @property
     def _part(self) -> Tensor:
@@ -727,12 +732,13 @@ class CombinedTrainer:
         if count:
             changes = self._changes(random, generator)
             priors = [best.process.prior(o) for o in range(OUTPUTS)]
+            designs = [self._design(best.units, o) for o in range(OUTPUTS)]
         for m in range(count):
             change, own = changes[m], torch.zeros_like(mean)
             off = self._units_of(rows.given, best.units) @ change.T
             weight = random[m][self._command]
             for o in range(OUTPUTS):
-                centre, triangle = self._posterior(best.process, best.units, o, weight, off[:, o])
+                centre, triangle = self._posterior(best.process, designs[o], o, weight, off[:, o])
                 draw = priors[o] @ torch.randn(units, 1, generator=generator, dtype=mean.dtype)
                 own[o] = centre + torch.cholesky_solve(draw, triangle).squeeze(1)
             linear[1 + m], part = change[:, : inputs + 1], change[:, inputs + 1 :]

@@ -361,11 +361,9 @@ class Chains:
         """Return the windows with the mean weight of their rows."""
         if self.weight is None:
             return self.windows
-        until = torch.cat([torch.zeros(1), (self.weight[self._uncut] * self.time).cumsum(0)])
-        lasts = torch.cat([torch.zeros(1), self.time.cumsum(0)])
-        first, end, _, weight = self.windows
-        mean = (until[end] - until[first]) / (lasts[end] - lasts[first])
-        return self.windows._replace(weight=weight * mean)
+        windows = self.windows
+        mean = windows.sums(self.weight[self._uncut] * self.time) / windows.sums(self.time)
+        return windows._replace(weight=windows.weight * mean)
 
     def driven(self, actuators: Actuators) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return features [M, F], durations and rows [M] of pieces, and the rows' first states.
@@ -453,20 +451,16 @@ class Chains:
         first, end, kind, _ = windows
         rows, width = len(self.time), features.shape[1]
 
-        def until(values: Tensor) -> Tensor:
-            """Return sums until each row begins, [N + 1, ...]."""
-            return torch.cat([torch.zeros_like(values[:1]), values.cumsum(0)])
-
         def by_row(values: Tensor) -> Tensor:
             return torch.zeros(rows, *values.shape[1:], dtype=values.dtype).index_add_(
                 0, row, values
             )
 
         path = se2.path(self.y)
-        distance, heading = until(by_row(features)), path[:, 2]
+        heading = path[:, 2]
         turn = heading[end] - heading[first]
         of_turn, of_shift = terms_near_zero(self, width)
-        rate, turns_left = _regression(distance[end] - distance[first], turn, of_turn, windows)
+        rate, turns_left = _regression(windows.sums(by_row(features)), turn, of_turn, windows)
         # The turn of a row by the model, plus the model's error.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -481,8 +475,7 @@ class Chains:
         def turned(features: Tensor) -> tuple[Tensor, Tensor]:
             """Return windows' displacements by the features as forward motion, [W, F] each."""
             parts = (chord * middle.cos())[:, None], (chord * middle.sin())[:, None]
-            x, y = (until(by_row(part * features)) for part in parts)
-            x, y = x[end] - x[first], y[end] - y[first]
+            x, y = (windows.sums(by_row(part * features)) for part in parts)
             return cos * x - sin * y, sin * x + cos * y
 
         moves = {
